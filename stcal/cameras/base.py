@@ -1,0 +1,146 @@
+"""What every camera model provides, and what all of them share.
+
+A model writes its native map from centroid to the direction (un-normalised) with both analytic
+Jacobians.  Unit vectors, their Jacobians and the inverse map are common to all models.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+# (parameters (P,), pixel size, m (S,), n (S,)) -> r_d (S, 3)
+RayMap = Callable[[Floats, float, Floats, Floats], Floats]
+# the same arguments -> (r_d (S, 3), dr/dx (S, 3, P), dr/d(m, n) (S, 3, 2))
+RayJacobian = Callable[[Floats, float, Floats, Floats], tuple[Floats, Floats, Floats]]
+# (parameters (P,), pixel size, s_d (S, 3)) -> (m, n), a start for the inverse
+PixelGuess = Callable[[Floats, float, Floats], tuple[Floats, Floats]]
+
+_INVERSE_TOLERANCE_PX = 1e-11
+_INVERSE_ITERATIONS = 50
+
+
+@dataclass(frozen=True)
+class CameraModel:
+    """One camera model: names, units and the native map."""
+
+    name: str
+    parameter_names: tuple[str, ...]
+    ray: RayMap
+    ray_jacobian: RayJacobian
+    pixel_guess: PixelGuess
+    reference: str
+
+
+_MODELS: dict[str, CameraModel] = {}
+
+
+def register(models: Sequence[CameraModel]) -> dict[str, CameraModel]:
+    """Make the table of models and let :class:`Camera` find them by name."""
+    _MODELS.update({model.name: model for model in models})
+    return _MODELS
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera model with its detector and its parameter values (P,)."""
+
+    model: str
+    rows: int
+    cols: int
+    pixel_size_m: float
+    parameters: Floats
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the parameters, in the order of the state vector."""
+        return _MODELS[self.model].parameter_names
+
+    def value(self, name: str) -> float:
+        """Return one parameter by name."""
+        return float(self.parameters[self.parameter_names.index(name)])
+
+    def with_parameters(self, parameters: Floats) -> Camera:
+        """Return the same camera with other parameter values."""
+        return replace(self, parameters=np.array(parameters, dtype=np.float64))
+
+    def contains(self, m: Floats, n: Floats) -> NDArray[np.bool_]:
+        """(S,) whether centroids lie on the detector (pixel centres at whole numbers)."""
+        return np.asarray(
+            (m >= -0.5) & (m <= self.rows - 0.5) & (n >= -0.5) & (n <= self.cols - 0.5)
+        )
+
+    def directions(self, m: Floats, n: Floats) -> Floats:
+        """Return unit star vectors s_d (S, 3) of centroids in pixels."""
+        r = _MODELS[self.model].ray(self.parameters, self.pixel_size_m, m, n)
+        return r / np.sqrt(np.einsum("si,si->s", r, r))[:, None]
+
+    def jacobian(self, m: Floats, n: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return s_d (S, 3), ds_d/dx (S, 3, P) and ds_d/d(m, n) (S, 3, 2).
+
+        Normalisation by Enright 2018 eq (40): ds = (I - s s^T) dr / r.
+        """
+        r, by_parameter, by_pixel = _MODELS[self.model].ray_jacobian(
+            self.parameters, self.pixel_size_m, m, n
+        )
+        length = np.sqrt(np.einsum("si,si->s", r, r))
+        s = r / length[:, None]
+        return s, _tangential(s, length, by_parameter), _tangential(s, length, by_pixel)
+
+    def noise_scale(self, m: Floats, n: Floats) -> Floats:
+        """Return (S,) rad of direction error per pixel of isotropic centroid error.
+
+        The root mean square over the two axes of the tangent plane, so that Enright's isotropic
+        star-position error (eqs 16-17) keeps the true total variance off the axis.
+        """
+        by_pixel = self.jacobian(m, n)[2]
+        return np.sqrt(0.5 * np.einsum("sij,sij->s", by_pixel, by_pixel))
+
+    def project(self, s_d: Floats) -> tuple[Floats, Floats]:
+        """Return centroids (m, n) in pixels of directions s_d (S, 3): the exact inverse map.
+
+        Newton's method on the slopes x/z and y/z with the analytic pixel Jacobian.  NaN where a
+        direction has no image (behind the camera, or outside the range in which the model is
+        one-to-one).
+        """
+        model = _MODELS[self.model]
+        target, visible = _slopes(s_d)
+        m, n = model.pixel_guess(self.parameters, self.pixel_size_m, s_d)
+        step = np.full(len(m), np.inf)
+        with np.errstate(all="ignore"):
+            for _ in range(_INVERSE_ITERATIONS):
+                r, _, by_pixel = model.ray_jacobian(self.parameters, self.pixel_size_m, m, n)
+                slopes, _ = _slopes(r)
+                derivative = (by_pixel[:, :2] - slopes[:, :, None] * by_pixel[:, 2:3]) / r[
+                    :, 2, None, None
+                ]
+                dm, dn = _solve2(derivative, target - slopes)
+                m, n = m + dm, n + dn
+                step = np.hypot(dm, dn)
+                if not np.any(step > _INVERSE_TOLERANCE_PX):
+                    break
+            found = visible & (step < 1e-6)
+        return np.where(found, m, np.nan), np.where(found, n, np.nan)
+
+
+def _tangential(s: Floats, length: Floats, derivative: Floats) -> Floats:
+    along = np.einsum("si,sik->sk", s, derivative)
+    return np.asarray((derivative - s[:, :, None] * along[:, None, :]) / length[:, None, None])
+
+
+def _slopes(r: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    in_front = r[:, 2] > 0
+    with np.errstate(all="ignore"):
+        return np.asarray(r[:, :2] / r[:, 2:3]), in_front
+
+
+def _solve2(a: Floats, b: Floats) -> tuple[Floats, Floats]:
+    determinant = a[:, 0, 0] * a[:, 1, 1] - a[:, 0, 1] * a[:, 1, 0]
+    x = (a[:, 1, 1] * b[:, 0] - a[:, 0, 1] * b[:, 1]) / determinant
+    y = (a[:, 0, 0] * b[:, 1] - a[:, 1, 0] * b[:, 0]) / determinant
+    return x, y
