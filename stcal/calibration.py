@@ -48,7 +48,7 @@ class Calibration:
             "sensor_id": self.sensor_id,
             "serial": self.serial,
             "camera": {
-                "model": camera.model,
+                "model": camera.model.name,
                 "rows": camera.rows,
                 "cols": camera.cols,
                 "pixel_size_m": camera.pixel_size_m,
@@ -170,7 +170,7 @@ def _camera(section: Any, problems: list[str]) -> Camera | None:
     if len(problems) > before:
         return None
     camera = Camera(
-        model=name,
+        model=CAMERAS[name],
         rows=int(size["rows"]),  # type: ignore[arg-type]
         cols=int(size["cols"]),  # type: ignore[arg-type]
         pixel_size_m=float(pixel),  # type: ignore[arg-type]

@@ -1,6 +1,11 @@
-"""Camera models by name, and the camera (a model with its detector and parameter values)."""
+"""Camera models by name, and the camera (a model with its detector and parameter values).
+
+A new model is one file beside this one and one line in CAMERAS.
+"""
 
 from stcal.cameras.base import Camera, CameraModel
-from stcal.cameras.models import CAMERAS
+from stcal.cameras.wang import WANG
+
+CAMERAS: dict[str, CameraModel] = {model.name: model for model in (WANG,)}
 
 __all__ = ["CAMERAS", "Camera", "CameraModel"]

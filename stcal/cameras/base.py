@@ -6,7 +6,7 @@ Jacobians.  Unit vectors, their Jacobians and the inverse map are common to all 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,20 +37,11 @@ class CameraModel:
     reference: str
 
 
-_MODELS: dict[str, CameraModel] = {}
-
-
-def register(models: Sequence[CameraModel]) -> dict[str, CameraModel]:
-    """Make the table of models and let :class:`Camera` find them by name."""
-    _MODELS.update({model.name: model for model in models})
-    return _MODELS
-
-
 @dataclass(frozen=True)
 class Camera:
     """A camera model with its detector and its parameter values (P,)."""
 
-    model: str
+    model: CameraModel
     rows: int
     cols: int
     pixel_size_m: float
@@ -59,7 +50,7 @@ class Camera:
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the parameters, in the order of the state vector."""
-        return _MODELS[self.model].parameter_names
+        return self.model.parameter_names
 
     def value(self, name: str) -> float:
         """Return one parameter by name."""
@@ -77,7 +68,7 @@ class Camera:
 
     def directions(self, m: Floats, n: Floats) -> Floats:
         """Return unit star vectors s_d (S, 3) of centroids in pixels."""
-        r = _MODELS[self.model].ray(self.parameters, self.pixel_size_m, m, n)
+        r = self.model.ray(self.parameters, self.pixel_size_m, m, n)
         return r / np.sqrt(np.einsum("si,si->s", r, r))[:, None]
 
     def jacobian(self, m: Floats, n: Floats) -> tuple[Floats, Floats, Floats]:
@@ -85,7 +76,7 @@ class Camera:
 
         Normalisation by Enright 2018 eq (40): ds = (I - s s^T) dr / r.
         """
-        r, by_parameter, by_pixel = _MODELS[self.model].ray_jacobian(
+        r, by_parameter, by_pixel = self.model.ray_jacobian(
             self.parameters, self.pixel_size_m, m, n
         )
         length = np.sqrt(np.einsum("si,si->s", r, r))
@@ -108,7 +99,7 @@ class Camera:
         direction has no image (behind the camera, or outside the range in which the model is
         one-to-one).
         """
-        model = _MODELS[self.model]
+        model = self.model
         target, visible = _slopes(s_d)
         m, n = model.pixel_guess(self.parameters, self.pixel_size_m, s_d)
         step = np.full(len(m), np.inf)

@@ -1,0 +1,177 @@
+"""The sensor configuration: one TOML file describes a sensor type, validated in one go."""
+
+from __future__ import annotations
+
+import tomllib
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from stcal.cameras import CAMERAS
+from stcal.errors import ConfigError
+
+SCHEMA = "stcal.sensor/1"
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Detector(_Section):
+    """The detector: rows m, columns n, square pixels."""
+
+    rows: Annotated[int, Field(ge=2, le=100_000)]
+    cols: Annotated[int, Field(ge=2, le=100_000)]
+    pixel_size_m: Positive
+    # Coordinate that the telemetry gives to the centre of the first pixel (both axes).
+    first_pixel_centre_px: Finite = 0.0
+
+
+class Scale(_Section):
+    """Mean and standard deviation of one parameter from unit to unit (Enright Table II)."""
+
+    nominal: Finite
+    sigma: Positive
+
+
+class CameraSection(_Section):
+    """The camera model and the scale of each of its parameters."""
+
+    model: str
+    scale: dict[str, Scale]
+
+    @model_validator(mode="after")
+    def _names(self) -> CameraSection:
+        if self.model not in CAMERAS:
+            raise ValueError(f"model {self.model!r} is not known; known: {', '.join(CAMERAS)}")
+        names = CAMERAS[self.model].parameter_names
+        problems = [f"scale.{p} is missing" for p in names if p not in self.scale]
+        problems += [f"scale.{p} is not a parameter" for p in self.scale if p not in names]
+        if problems:
+            raise ValueError("; ".join(problems))
+        return self
+
+
+class Noise(_Section):
+    """Centroid noise, one sigma per axis.
+
+    ``constant``: sd_px for every star.  ``intensity``: sqrt(sd_px^2 + reference / intensity *
+    photon_sd_px^2), photon noise growing for faint stars over a floor of sd_px.
+    """
+
+    model: Literal["constant", "intensity"] = "constant"
+    sd_px: Positive
+    photon_sd_px: Annotated[float, Field(ge=0)] = 0.0
+    reference_intensity: Positive = 1000.0
+
+
+class CatalogueSection(_Section):
+    """Which catalogue stars the sensor can see and tell apart."""
+
+    # None: the bundled catalogue; else a file of `stcal catalog build`, relative to this file.
+    path: str | None = None
+    limiting_magnitude: Finite
+    # Stars closer than this are one photocentre to the detector.
+    merge_separation_arcsec: Annotated[float, Field(ge=0)]
+
+
+class Matching(_Section):
+    """Identification: tolerances and the acceptance rule shared by both methods."""
+
+    # Largest arclength error of a pair that may seed a lost-in-space hypothesis.
+    pair_tolerance_urad: Positive
+    # Largest departure of a matched star from its catalogue place after the attitude solution.
+    star_tolerance_urad: Positive
+    minimum_matches: Annotated[int, Field(ge=3)] = 4
+    # Longest pair used for seeding, shorter ones bear less distortion.
+    pair_limit_deg: Positive = 12.0
+    # Brightest detections that seed hypotheses.
+    seed_stars: Annotated[int, Field(ge=3, le=64)] = 12
+    # Accepted probability that chance alone explains an accepted exposure.
+    false_alarm: Annotated[float, Field(gt=0, lt=0.1)] = 1e-6
+    # Radius in which `guided` looks around its attitude hint.
+    hint_radius_deg: Positive = 0.3
+
+
+class Fit(_Section):
+    """The batch fit and the gates behind which its result may leave."""
+
+    maximum_cycles: Annotated[int, Field(ge=1, le=50)] = 6
+    minimum_stars_per_exposure: Annotated[int, Field(ge=3)] = 4
+    # A star is dropped when it departs by more than this many robust sigma.
+    rejection_sigma: Positive = 5.0
+    # Gates.
+    minimum_frames: Annotated[int, Field(ge=1)] = 30
+    minimum_stars: Annotated[int, Field(ge=1)] = 300
+    minimum_coverage: Fraction = 0.5
+    maximum_condition: Positive = 1e4
+    maximum_change_sigma: Positive = 30.0
+    maximum_rms_urad: Positive | None = None
+    # Reduced chi-square beyond which the noise model or the camera model is not believed.
+    maximum_noise_scale: Positive = 5.0
+
+
+class Ingest(_Section):
+    """What ingest accepts."""
+
+    quaternion_norm_tolerance: Positive = 1e-3
+    # Exit code 5 when a larger share of rows is quarantined.
+    maximum_quarantine_share: Fraction = 0.05
+
+
+class SensorConfig(_Section):
+    """One sensor type, as its TOML file describes it."""
+
+    schema_: Literal["stcal.sensor/1"] = Field(alias="schema")
+    name: str
+    sensor_ids: Annotated[list[str], Field(min_length=1)]
+    detector: Detector
+    camera: CameraSection
+    noise: Noise
+    catalogue: CatalogueSection
+    matching: Matching
+    fit: Fit = Fit()
+    ingest: Ingest = Ingest()
+
+    def applies_to(self, sensor_id: str) -> bool:
+        """Whether the configuration describes this sensor."""
+        return any(fnmatchcase(sensor_id, pattern) for pattern in self.sensor_ids)
+
+
+def load_config(path: Path) -> SensorConfig:
+    """Read and validate a sensor configuration.
+
+    Raises
+    ------
+    ConfigError
+        Naming the file and every error in it.
+    """
+    try:
+        with path.open("rb") as stream:
+            document = tomllib.load(stream)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: not TOML: {error}") from None
+    try:
+        config = SensorConfig.model_validate(document)
+    except ValidationError as error:
+        raise ConfigError(f"{path}:\n" + "\n".join(_lines(error))) from None
+    if config.catalogue.path is not None:
+        resolved = str((path.parent / config.catalogue.path).resolve())
+        catalogue = config.catalogue.model_copy(update={"path": resolved})
+        config = config.model_copy(update={"catalogue": catalogue})
+    return config
+
+
+def _lines(error: ValidationError) -> list[str]:
+    return [
+        f"  {'.'.join(str(part) for part in item['loc']) or 'file'}: {item['msg']}"
+        for item in error.errors()
+    ]
