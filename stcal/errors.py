@@ -5,10 +5,14 @@ exceptions.  What is raised here is broken input, broken configuration, or a ref
 """
 
 
+from typing import Any
+
+
 class StcalError(Exception):
-    """Root of the package's own errors."""
+    """Root of the package's own errors; ``document`` is what ``--json`` prints beside it."""
 
     exit_code = 1
+    document: dict[str, Any] | None = None
 
 
 class UsageError(StcalError):

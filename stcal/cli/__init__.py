@@ -1,0 +1,106 @@
+"""The command ``stcal``: one module a command, imported only when that command is called."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from stcal.errors import StcalError
+from stcal.version import __version__
+
+# Name and one line of help, so that `stcal --help` imports no command.
+COMMANDS = {
+    "ingest": "Read downlinked telemetry into a Parquet store.",
+    "match": "Identify the stars of stored telemetry with a calibration.",
+    "fit": "Refit the camera from stored telemetry.",
+    "validate": "Compare two calibrations on held-out telemetry.",
+    "uplink": "Build and compare calibration upload files.",
+    "report": "Make the HTML report of a fit or validation again.",
+    "summary": "Print one table of several validations.",
+    "simulate": "Make telemetry of a simulated sensor.",
+    "catalog": "Build or describe a star catalogue.",
+    "sensor": "Check sensor configurations.",
+}
+EXIT_INTERNAL, EXIT_INTERRUPTED = 1, 130
+
+
+class _LazyGroup(click.Group):
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in COMMANDS:
+            return None
+        module = importlib.import_module(f"stcal.cli.{cmd_name}")
+        command: click.Command = module.command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Commands"):
+            formatter.write_dl(list(COMMANDS.items()))
+
+
+@click.command(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="stcal")
+def cli() -> None:
+    """Recalibrate star trackers in orbit from downlinked telemetry.
+
+    Exit codes: 0 done; 1 internal error; 2 usage; 3 bad input or configuration; 4 refused by a
+    safety gate; 5 done, but more input was quarantined than the configured share; 130 interrupted.
+    """
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line and return the exit code (the console script exits with it)."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    as_json = "--json" in arguments
+    try:
+        code = cli.main(args=arguments, prog_name="stcal", standalone_mode=False)
+        return code if isinstance(code, int) else 0
+    except click.exceptions.Abort:
+        return _fail("interrupted", EXIT_INTERRUPTED, as_json)
+    except KeyboardInterrupt:
+        return _fail("interrupted", EXIT_INTERRUPTED, as_json)
+    except click.ClickException as error:
+        if not as_json:
+            error.show()
+            return error.exit_code
+        return _fail(error.format_message(), error.exit_code, as_json)
+    except StcalError as error:
+        return _fail(str(error), error.exit_code, as_json, error.document)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_INTERNAL
+    except OSError as error:
+        # A full disk, a missing permission: the machine's fault, told without a traceback.
+        where = f"{error.filename}: " if error.filename else ""
+        return _fail(f"{where}{error.strerror or error}", EXIT_INTERNAL, as_json)
+    except Exception as error:
+        return _internal(error, as_json)
+
+
+def _fail(message: str, code: int, as_json: bool, document: dict[str, Any] | None = None) -> int:
+    click.echo(f"stcal: {message}", err=True)
+    if as_json:
+        body = dict(document or {})
+        body.setdefault("error", message)
+        body["exit_code"] = code
+        click.echo(json.dumps(body, indent=1))
+    return code
+
+
+def _internal(error: Exception, as_json: bool) -> int:
+    import tempfile
+    import traceback
+
+    handle, name = tempfile.mkstemp(prefix="stcal-crash-", suffix=".txt", text=True)
+    with os.fdopen(handle, "w") as stream:
+        traceback.print_exception(error, file=stream)
+    message = f"internal error: {type(error).__name__}: {error} (details in {Path(name)})"
+    return _fail(message, EXIT_INTERNAL, as_json)

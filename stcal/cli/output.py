@@ -1,0 +1,69 @@
+"""What every command prints with: one JSON document or rich tables, and progress."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Protocol
+
+import click
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+class Progress(Protocol):
+    """What long work reports its steps to."""
+
+    def advance(self, n: float = 1.0) -> None:
+        """Count n more steps as done."""
+
+    def describe(self, text: str) -> None:
+        """Change the text in front of the bar."""
+
+
+class _Silent:
+    def advance(self, n: float = 1.0) -> None:
+        return
+
+    def describe(self, text: str) -> None:
+        return
+
+
+SILENT: Progress = _Silent()
+
+
+def emit(document: dict[str, Any], as_json: bool, human: Callable[[Console], None]) -> None:
+    """Print the document as JSON, or let ``human`` print tables to the console."""
+    if as_json:
+        click.echo(json.dumps(document, indent=1, allow_nan=False))
+        return
+    from rich.console import Console
+
+    human(Console())
+
+
+@contextmanager
+def progress(description: str, total: float | None = None) -> Iterator[Progress]:
+    """Show a progress bar on standard error, on a terminal only."""
+    if not sys.stderr.isatty():
+        yield SILENT
+        return
+    from rich.console import Console
+    from rich.progress import Progress as RichProgress
+
+    with RichProgress(console=Console(stderr=True), transient=True) as bar:
+        yield _Bar(bar, bar.add_task(description, total=total))
+
+
+class _Bar:
+    def __init__(self, bar: Any, task: Any) -> None:
+        self._bar, self._task = bar, task
+
+    def advance(self, n: float = 1.0) -> None:
+        self._bar.advance(self._task, n)
+
+    def describe(self, text: str) -> None:
+        self._bar.update(self._task, description=text)
