@@ -139,3 +139,44 @@ def concatenate(batches: Sequence[FrameBatch]) -> FrameBatch:
     counts = np.concatenate([b.stars_per_exposure for b in batches])
     offsets = np.concatenate(([0], np.cumsum(counts)))
     return FrameBatch(sensor_id=batches[0].sensor_id, star_offsets=offsets, **columns)
+
+
+@dataclass(frozen=True)
+class MatchedFrames:
+    """Frames with the stars that one calibration identifies in them.
+
+    Attributes
+    ----------
+    frames : the batch
+    star : (S,) int32 index into the catalogue used, -1 = unmatched
+    s_i : (S, 3) apparent direction of the matched star in I, NaN where unmatched
+    solved : (E,) bool, whether the exposure was identified
+    reason : (E,) int8, index into ``stcal.matching.REASONS``: why an exposure was not
+    c_di : (E, 3, 3) attitude of D relative to I, NaN where unsolved
+    residual : (S,) rad, departure of the star from its exposure's attitude, NaN where unmatched
+    """
+
+    frames: FrameBatch
+    star: NDArray[np.int32]
+    s_i: Floats
+    solved: Bools
+    reason: NDArray[np.int8]
+    c_di: Floats
+    residual: Floats
+
+    @cached_property
+    def is_matched(self) -> Bools:
+        """(S,) whether the detection is matched."""
+        return self.star >= 0
+
+    @cached_property
+    def matches_per_exposure(self) -> Ints:
+        """(E,) number of matched stars."""
+        return np.bincount(
+            self.frames.exposure_of_star[self.is_matched], minlength=self.frames.n_exposures
+        )
+
+    @cached_property
+    def frame_solved(self) -> Bools:
+        """(F,) whether any exposure of the frame was identified."""
+        return self.solved.reshape(-1, EXPOSURES_PER_FRAME).any(axis=1)

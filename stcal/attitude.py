@@ -1,0 +1,171 @@
+"""Attitude: batched Wahba solution with covariance, the frame's quaternion, robust averages."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stcal.constants import EXPOSURES_PER_FRAME
+from stcal.geometry.rotations import vector_from_matrix
+
+if TYPE_CHECKING:
+    from stcal.frames import MatchedFrames
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.int64]
+
+
+def solve_wahba(
+    s_d: Floats, s_i: Floats, weight: Floats, exposure: Ints, n_exposures: int
+) -> Floats:
+    """Return c_di (E, 3, 3) minimising sum w |s_d - c_di s_i|^2 for each exposure.
+
+    Parameters are columns over stars: s_d, s_i (S, 3), weight (S,), exposure (S,).  Solved by the
+    SVD of the attitude profile matrix (Markley 1988).  NaN for exposures with under two stars.
+    """
+    outer = (weight[:, None, None] * s_d[:, :, None] * s_i[:, None, :]).reshape(-1, 9)
+    profile = np.stack(
+        [np.bincount(exposure, outer[:, k], minlength=n_exposures) for k in range(9)], axis=1
+    ).reshape(-1, 3, 3)
+    count = np.bincount(exposure, weight > 0, minlength=n_exposures)
+    left, _, right = np.linalg.svd(profile)
+    left[:, :, 2] *= (np.linalg.det(left) * np.linalg.det(right))[:, None]
+    c_di: Floats = left @ right
+    c_di[count < 2] = np.nan
+    return c_di
+
+
+def attitude_covariance(s_d: Floats, sd: Floats, exposure: Ints, n_exposures: int) -> Floats:
+    """Return the covariance (E, 3, 3) [rad^2] of the small rotation error, in D.
+
+    P = (sum (1 - s s^T) / sd^2)^-1 (Shuster & Oh 1981); NaN where stars don't fix the attitude.
+    """
+    information = (np.eye(3) - s_d[:, :, None] * s_d[:, None, :]) / (sd * sd)[:, None, None]
+    flat = information.reshape(-1, 9)
+    total = np.stack(
+        [np.bincount(exposure, flat[:, k], minlength=n_exposures) for k in range(9)], axis=1
+    ).reshape(-1, 3, 3)
+    eigenvalue = np.linalg.eigvalsh(total)
+    good = eigenvalue[:, 0] > 1e-12 * np.maximum(eigenvalue[:, 2], 1e-300)
+    covariance = np.full_like(total, np.nan)
+    covariance[good] = np.linalg.inv(total[good])
+    return covariance
+
+
+def residual_angles(s_d: Floats, s_i: Floats, c_di: Floats) -> Floats:
+    """Return |s_d - c_di s_i| (S,) rad; c_di is given per star (S, 3, 3)."""
+    difference = s_d - np.einsum("sij,sj->si", c_di, s_i)
+    return np.sqrt(np.einsum("si,si->s", difference, difference))
+
+
+def better_exposure(matched: MatchedFrames) -> NDArray[np.int8]:
+    """(F,) the exposure with the higher-quality solution, -1 without any.
+
+    More matched stars first, then the smaller RMS residual, as the sensor reports the image with
+    the better solution (Enright 2018, section I-B).
+    """
+    frames = matched.frames
+    residual2 = np.where(matched.is_matched, matched.residual**2, 0.0)
+    total = np.bincount(frames.exposure_of_star, residual2, minlength=frames.n_exposures)
+    count = np.where(matched.solved, matched.matches_per_exposure, 0)
+    mean = total / np.maximum(count, 1)
+    count, mean = (a.reshape(-1, EXPOSURES_PER_FRAME) for a in (count, mean))
+    second = (count[:, 1] > count[:, 0]) | (
+        (count[:, 1] == count[:, 0]) & (mean[:, 1] < mean[:, 0])
+    )
+    return np.where(count.max(axis=1) > 0, second.astype(np.int8), np.int8(-1)).astype(np.int8)
+
+
+def frame_attitudes(matched: MatchedFrames) -> tuple[Floats, NDArray[np.int8]]:
+    """Return c_di (F, 3, 3) of each frame's better exposure (NaN without) and which (F,)."""
+    best = better_exposure(matched)
+    exposure = EXPOSURES_PER_FRAME * np.arange(len(best)) + np.maximum(best, 0)
+    c_di = matched.c_di[exposure]
+    c_di[best < 0] = np.nan
+    return c_di, best
+
+
+def frame_quaternions(matched: MatchedFrames, c_sd: Floats) -> tuple[Floats, NDArray[np.int8]]:
+    """Return q_si (F, 4), scalar last with positive scalar, NaN without a fix, and the exposure."""
+    from scipy.spatial.transform import Rotation
+
+    c_di, best = frame_attitudes(matched)
+    q_si = np.full((len(best), 4), np.nan)
+    good = best >= 0
+    if good.any():
+        # A(q) = c_si and Rotation.from_quat(q) applied to v_S gives v_I: the transpose.
+        c_is = np.swapaxes(c_sd @ c_di[good], 1, 2)
+        q_si[good] = Rotation.from_matrix(c_is).as_quat(canonical=True)
+    return q_si, best
+
+
+def attitudes_from_quaternions(q_si: Floats, c_sd: Floats) -> Floats:
+    """Return c_di (F, 3, 3) of telemetered quaternions (F, 4); NaN where there is none."""
+    from scipy.spatial.transform import Rotation
+
+    c_di = np.full((len(q_si), 3, 3), np.nan)
+    good = np.isfinite(q_si).all(axis=1)
+    if good.any():
+        c_is = Rotation.from_quat(q_si[good]).as_matrix()
+        c_di[good] = c_sd.T @ np.swapaxes(c_is, 1, 2)
+    return c_di
+
+
+@dataclass(frozen=True)
+class MeanRotation:
+    """A robust mean rotation.
+
+    Attributes
+    ----------
+    c : (3, 3) the mean
+    spread : (3,) rad, sd of the kept rotations about the mean, per axis
+    sd_of_mean : (3,) rad
+    kept : (K,) bool, the rotations that were not rejected
+    """
+
+    c: Floats
+    spread: Floats
+    sd_of_mean: Floats
+    kept: Bools
+
+
+def mean_rotation(rotations: Floats, rejection_sigma: float = 5.0) -> MeanRotation | None:
+    """Average rotations (K, 3, 3) by Markley et al. 2007, leaving wrong ones out.
+
+    The start is the rotation with the least median angle to the others, which stays right while
+    over half are right; then rotations beyond ``rejection_sigma`` robust sd of the angle are left
+    out until the set settles.  None for an empty list.
+    """
+    from scipy.spatial.transform import Rotation
+
+    if len(rotations) == 0:
+        return None
+    mean = rotations[_most_central(rotations)]
+    kept = np.ones(len(rotations), dtype=bool)
+    for _ in range(20):
+        angle = np.linalg.norm(vector_from_matrix(rotations @ mean.T), axis=1)
+        # Median of a Rayleigh-like angle in three dimensions is 1.538 sd per axis.
+        scale = max(float(np.median(angle)) / 1.538, 1e-9)
+        now = angle <= rejection_sigma * scale * np.sqrt(3.0)
+        mean = Rotation.from_matrix(rotations[now]).mean().as_matrix()
+        if np.array_equal(now, kept):
+            break
+        kept = now
+    vectors = vector_from_matrix(rotations[kept] @ mean.T)
+    count = int(kept.sum())
+    spread = np.sqrt((vectors**2).sum(axis=0) / max(count - 1, 1))
+    return MeanRotation(mean, spread, spread / np.sqrt(count), kept)
+
+
+def _most_central(rotations: Floats, sample: int = 200) -> int:
+    """Index of the rotation with the least median angle to the others (of an even sample)."""
+    index = np.unique(np.linspace(0, len(rotations) - 1, min(sample, len(rotations))).astype(int))
+    flat = rotations[index].reshape(len(index), 9)
+    trace = flat @ flat.T
+    return int(index[np.argmax(np.median(trace, axis=1))])
+
+

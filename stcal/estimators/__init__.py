@@ -1,0 +1,1 @@
+"""Estimators: from whitened residuals to parameters with their covariance."""

@@ -1,0 +1,130 @@
+"""Batch estimator: Levenberg-Marquardt in scaled parameters on merged square-root partials."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stcal.estimators.information import SquareRootInformation, scaled
+
+Floats = NDArray[np.float64]
+Linearise = Callable[[Floats], SquareRootInformation]
+
+_ITERATIONS = 60
+_DAMPING_START = 1e-6
+_DAMPING_LIMIT = 1e12
+# Steps below this part of a parameter's sd don't matter to anyone.
+_STEP_SD = 1e-3
+
+
+@dataclass(frozen=True)
+class BatchSolution:
+    """Result of the batch estimator.
+
+    Attributes
+    ----------
+    parameters : (P,)
+    information : the factor at the solution, in scaled parameters (one unit = one Table II sigma)
+    chi2_start, chi2 : weighted sum of squares before and after
+    iterations : accepted steps
+    converged : whether the last step was below a thousandth of every parameter's sd
+    """
+
+    parameters: Floats
+    information: SquareRootInformation
+    chi2_start: float
+    chi2: float
+    iterations: int
+    converged: bool
+
+
+def levenberg_marquardt(linearise: Linearise, start: Floats, scale: Floats) -> BatchSolution:
+    """Minimise the whitened sum of squares (Enright 2018 eq 14) from ``start`` (P,).
+
+    ``linearise`` gives the merged factor of [H | r] at given parameters.  Steps are taken in
+    x' = x / scale (eq 22), damped by a multiple of the diagonal of H'^T H' (Marquardt 1963).
+    """
+    x = np.array(start, dtype=np.float64)
+    here = scaled(linearise(x), scale)
+    chi2_start, damping, accepted, converged = here.chi2, _DAMPING_START, 0, False
+    for _ in range(_ITERATIONS):
+        step = _damped_step(here, damping)
+        # The undamped length decides on convergence, or heavy damping would feign it.
+        small = _in_sd(here, _damped_step(here, 0.0)) < _STEP_SD
+        there = scaled(linearise(x + step * scale), scale)
+        if np.isfinite(there.chi2) and there.chi2 <= here.chi2 * (1.0 + 1e-12):
+            x, here = x + step * scale, there
+            damping, accepted = max(damping / 10.0, 1e-12), accepted + 1
+            if small:
+                converged = True
+                break
+        elif small:
+            # No descent left at the resolution of the arithmetic.
+            converged = True
+            break
+        else:
+            damping *= 10.0
+            if damping > _DAMPING_LIMIT:
+                break
+    return BatchSolution(x, here, chi2_start, here.chi2, accepted, converged)
+
+
+def _damped_step(information: SquareRootInformation, damping: float) -> Floats:
+    root = information.root
+    diagonal = np.sqrt(damping) * np.sqrt((root**2).sum(axis=0))
+    stacked = np.vstack([root, np.diag(diagonal)])
+    target = np.concatenate([-information.projected, np.zeros(len(diagonal))])
+    step: Floats = np.linalg.lstsq(stacked, target, rcond=None)[0]
+    return step
+
+
+def _in_sd(information: SquareRootInformation, step: Floats) -> float:
+    """Length of a step in the metric of the information: at most the largest |step / sd|.."""
+    return float(np.linalg.norm(information.root @ step))
+
+
+def covariance_from(information: SquareRootInformation) -> Floats:
+    """Return (H^T H)^-1 (P, P) of the factor's parameters.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        When the factor is singular: a parameter is not observable at all.
+    """
+    root = information.root
+    inverse = np.linalg.solve(root, np.eye(len(root)))
+    return np.asarray(inverse @ inverse.T)
+
+
+@dataclass(frozen=True)
+class Observability:
+    """Singular value analysis of the scaled Jacobian, Enright 2018 eqs (23)-(24).
+
+    Attributes
+    ----------
+    singular_values : (P,) falling
+    singular_vectors : (P, P) right singular vectors as columns, in scaled parameters
+    condition_raw, condition_scaled : condition numbers of H before and after scaling
+    """
+
+    singular_values: Floats
+    singular_vectors: Floats
+    condition_raw: float
+    condition_scaled: float
+
+
+def observability(information: SquareRootInformation, scale: Floats) -> Observability:
+    """Analyse the factor of scaled parameters; ``scale`` (P,) gives back the raw Jacobian."""
+    _, values, vectors = np.linalg.svd(information.root)
+    # Orient each vector by its largest element, so that reports compare.
+    largest = np.abs(vectors).argmax(axis=1)
+    vectors = vectors * np.sign(vectors[np.arange(len(values)), largest])[:, None]
+    raw = np.linalg.svd(information.root / scale, compute_uv=False)
+    return Observability(values, vectors.T, _condition(raw), _condition(values))
+
+
+def _condition(values: Floats) -> float:
+    return float(values[0] / values[-1]) if values[-1] > 0 else float("inf")

@@ -1,0 +1,225 @@
+"""From a batch of frames and a camera to identified stars and attitudes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stcal.attitude import attitudes_from_quaternions, residual_angles, solve_wahba
+from stcal.cameras import Camera
+from stcal.catalog.apparent import Observer, apparent_directions, observer_at
+from stcal.catalog.catalogue import StarCatalogue
+from stcal.config import Matching, SensorConfig
+from stcal.constants import DEG, EXPOSURES_PER_FRAME, URAD
+from stcal.frames import FrameBatch, MatchedFrames
+from stcal.matching import kernels
+from stcal.matching.index import SkyIndex, build_index
+
+Floats = NDArray[np.float64]
+
+REASONS = ("solved", "too few stars", "no match")
+# Chance matches are judged in a field this much denser than the mean sky (the Milky Way).
+_CROWDING = 1.5
+
+
+@dataclass(frozen=True)
+class Matcher:
+    """A catalogue and a sensor's matching rules, ready to identify frames.
+
+    The sky index is kept for each whole year of epoch, so that the answer for a frame doesn't
+    depend on the frames beside it.
+    """
+
+    catalogue: StarCatalogue
+    config: SensorConfig
+
+    def index(self, year: int) -> SkyIndex:
+        """Return the sky index at ``year`` Julian years after J2000.0."""
+        return _index(self, year)
+
+    def __hash__(self) -> int:
+        return id(self)
+
+    def __eq__(self, other: object) -> bool:
+        return self is other
+
+
+@lru_cache(maxsize=8)
+def _index(matcher: Matcher, year: int) -> SkyIndex:
+    rules = matcher.config.matching
+    radius = max(rules.hint_radius_deg * DEG, 3.0 * rules.star_tolerance_urad * URAD)
+    return build_index(matcher.catalogue, float(year), rules.pair_limit_deg * DEG, radius)
+
+
+def _no_hints(frames: FrameBatch, hints: Floats | None, c_sd: Floats) -> Floats:
+    return np.full((frames.n_exposures, 3, 3), np.nan)
+
+
+def _hints(frames: FrameBatch, hints: Floats | None, c_sd: Floats) -> Floats:
+    """Take the previous solution where there is one, else the telemetered quaternion."""
+    telemetered = attitudes_from_quaternions(frames.q_si, c_sd)
+    both = np.repeat(telemetered, EXPOSURES_PER_FRAME, axis=0)
+    if hints is None:
+        return both
+    return np.where(np.isnan(hints), both, hints)
+
+
+@dataclass(frozen=True)
+class Method:
+    """How exposures are started: from which hints, and whether lost in space as well."""
+
+    hints: Callable[[FrameBatch, Floats | None, Floats], Floats]
+    guided: bool
+    description: str
+
+
+METHODS: dict[str, Method] = {
+    "lost-in-space": Method(_no_hints, False, "stateless, as the flight software identifies"),
+    "guided": Method(
+        _hints,
+        True,
+        "from the previous solution or the telemetered quaternion; an exposure that has neither, "
+        "or that the hint does not solve, is identified lost in space",
+    ),
+}
+
+
+def match(
+    frames: FrameBatch,
+    camera: Camera,
+    c_sd: Floats,
+    matcher: Matcher,
+    method: str = "lost-in-space",
+    hints: Floats | None = None,
+) -> MatchedFrames:
+    """Identify the stars of every exposure and solve its attitude.
+
+    Parameters
+    ----------
+    frames : the telemetry
+    camera, c_sd : the calibration under which star vectors are computed
+    matcher : catalogue and rules
+    method : a name in METHODS
+    hints : (E, 3, 3) attitudes c_di known before, NaN where unknown; used by ``guided``
+    """
+    chosen = METHODS[method]
+    config = matcher.config
+    s_d = camera.directions(frames.row_px, frames.col_px)
+    observer = observer_at(frames.t_tai_ns, frames.pos_km, frames.vel_km_s)
+    star = np.full(frames.n_stars, -1, np.int32)
+    c_di = np.full((frames.n_exposures, 3, 3), np.nan)
+    reason = np.zeros(frames.n_exposures, np.int8)
+    order = brightness_order(frames)
+    start = chosen.hints(frames, hints, c_sd)
+    rows = observer.rows
+    for year, stretch in _by_year(observer.years):
+        first, last = EXPOSURES_PER_FRAME * stretch.start, EXPOSURES_PER_FRAME * stretch.stop
+        a, b = frames.star_offsets[first], frames.star_offsets[last]
+        sky, rule, work = _kernel_input(matcher.index(year), config.matching, frames, first, last)
+        kernels.identify(
+            frames.star_offsets[first : last + 1] - a, s_d[a:b], order[a:b], rows[stretch],
+            start[first:last], chosen.guided, True, sky, rule, work,
+            star[a:b], c_di[first:last], reason[first:last], np.empty(last - first, np.int8),
+        )  # fmt: skip
+    return _matched(frames, s_d, star, reason, matcher.catalogue, observer)
+
+
+def rematch_given(
+    frames: FrameBatch, camera: Camera, catalogue: StarCatalogue, star: NDArray[np.int32]
+) -> MatchedFrames:
+    """Return matches that are already known (S,) under a camera, with attitudes solved anew.
+
+    An exposure counts as solved with three matched stars or more.
+    """
+    s_d = camera.directions(frames.row_px, frames.col_px)
+    count = np.bincount(frames.exposure_of_star[star >= 0], minlength=frames.n_exposures)
+    star = np.where((count >= 3)[frames.exposure_of_star], star, np.int32(-1)).astype(np.int32)
+    reason = np.where(count >= 3, 0, 1).astype(np.int8)
+    observer = observer_at(frames.t_tai_ns, frames.pos_km, frames.vel_km_s)
+    return _matched(frames, s_d, star, reason, catalogue, observer)
+
+
+def telemetered_matches(frames: FrameBatch, catalogue: StarCatalogue) -> NDArray[np.int32]:
+    """Return the on-board matches (S,) as catalogue indices, -1 where unmatched or not in it."""
+    order = np.argsort(catalogue.star_id, kind="stable")
+    ids = catalogue.star_id[order]
+    place = np.minimum(np.searchsorted(ids, frames.star_id), len(ids) - 1)
+    known = (frames.star_id != 0) & (ids[place] == frames.star_id)
+    return np.where(known, order[place], -1).astype(np.int32)
+
+
+def brightness_order(frames: FrameBatch) -> NDArray[np.int32]:
+    """(S,) ranks: the detections of each exposure from bright to faint, as indices into it.
+
+    Detections without intensity come last, in the order of the telemetry.
+    """
+    brightness = np.where(np.isfinite(frames.intensity), frames.intensity, -np.inf)
+    order = np.lexsort((-brightness, frames.exposure_of_star))
+    return (order - frames.star_offsets[frames.exposure_of_star]).astype(np.int32)
+
+
+def _by_year(years: Floats) -> list[tuple[int, slice]]:
+    """Split frames into stretches of the same whole year of epoch."""
+    whole = np.round(years).astype(int)
+    edges = np.flatnonzero(np.diff(whole)) + 1
+    bounds = np.concatenate(([0], edges, [len(whole)])).astype(int)
+    return [
+        (int(whole[a]), slice(int(a), int(b)))
+        for a, b in zip(bounds[:-1], bounds[1:], strict=True)
+        if b > a
+    ]
+
+
+def _kernel_input(
+    index: SkyIndex, rules: Matching, frames: FrameBatch, first: int, last: int
+) -> tuple[kernels.Sky, kernels.Rule, kernels.Work]:
+    pair_tolerance, limit = rules.pair_tolerance_urad * URAD, rules.pair_limit_deg * DEG
+    tolerance = rules.star_tolerance_urad * URAD
+    pairs = len(index.pair_angle)
+    sky = kernels.Sky(
+        index.direction, index.motion, index.parallax, index.epoch_direction,
+        index.pair_angle, index.pair_a, index.pair_b, index.pair_start, index.pair_bin_rad, limit,
+        index.cell_start, index.cell_star, index.cells, index.radius_rad,
+    )  # fmt: skip
+    rule = kernels.Rule(
+        pair_tolerance=pair_tolerance,
+        star_tolerance=tolerance,
+        hint_radius=rules.hint_radius_deg * DEG,
+        minimum_matches=rules.minimum_matches,
+        seed_stars=rules.seed_stars,
+        # Ordered catalogue pairs that the pair tolerance leaves for one detected pair.
+        hypotheses=max(1.0, 2.0 * pairs * min(1.0, 2.0 * pair_tolerance / limit)),
+        chance=min(1.0, _CROWDING * index.density_per_sr * np.pi * tolerance**2),
+        false_alarm=rules.false_alarm,
+    )
+    largest = int(frames.stars_per_exposure[first:last].max(initial=1))
+    work = kernels.make_work(len(index.parallax), largest, pairs, rules.seed_stars)
+    return sky, rule, work
+
+
+def _matched(
+    frames: FrameBatch,
+    s_d: Floats,
+    star: NDArray[np.int32],
+    reason: NDArray[np.int8],
+    catalogue: StarCatalogue,
+    observer: Observer,
+) -> MatchedFrames:
+    """Solve the attitudes of matched exposures and collect the columns."""
+    matched = np.flatnonzero(star >= 0)
+    exposure = frames.exposure_of_star[matched]
+    s_i = np.full((frames.n_stars, 3), np.nan)
+    s_i[matched] = apparent_directions(
+        catalogue, star[matched], exposure // EXPOSURES_PER_FRAME, observer
+    )
+    weight = np.ones(len(matched))
+    c_di = solve_wahba(s_d[matched], s_i[matched], weight, exposure, frames.n_exposures)
+    solved = reason == 0
+    c_di[~solved] = np.nan
+    residual = np.full(frames.n_stars, np.nan)
+    residual[matched] = residual_angles(s_d[matched], s_i[matched], c_di[exposure])
+    return MatchedFrames(frames, star, s_i, solved, reason, c_di, residual)

@@ -1,0 +1,142 @@
+"""Sky index of a catalogue: a table of star pairs sorted by separation, and a map of the sky.
+
+Both are built at one epoch (proper motion applied), so that fast stars are found where they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from stcal.catalog.catalogue import StarCatalogue
+
+Floats = NDArray[np.float64]
+
+_LATTICE = np.linspace(-1.0, 1.0, 5)
+_FINEST_CELL_RAD = np.radians(1.0)
+
+
+@dataclass(frozen=True)
+class SkyIndex:
+    """Arrays that the identification kernels read.
+
+    Attributes
+    ----------
+    direction, motion, parallax : columns of the catalogue at J2000.0, for apparent places
+    epoch_direction : (C, 3) directions at the index's epoch
+    pair_angle, pair_a, pair_b : (P,) separation [rad] in rising order and the two stars
+    pair_start, pair_bin_rad : offsets of equal bins of separation into the pair table
+    cell_start, cell_star, cells : cube map with ``cells`` cells along an edge of each face; every
+        star stands in each cell that it is within ``radius_rad`` of, so a look-up reads one cell
+    density_per_sr : mean density of the catalogue
+    """
+
+    direction: Floats
+    motion: Floats
+    parallax: Floats
+    epoch_direction: Floats
+    pair_angle: NDArray[np.float32]
+    pair_a: NDArray[np.int32]
+    pair_b: NDArray[np.int32]
+    pair_start: NDArray[np.int32]
+    pair_bin_rad: float
+    cell_start: NDArray[np.int32]
+    cell_star: NDArray[np.int32]
+    cells: int
+    radius_rad: float
+    density_per_sr: float
+
+
+def build_index(
+    catalogue: StarCatalogue, years: float, pair_limit_rad: float, radius_rad: float
+) -> SkyIndex:
+    """Index a selected catalogue at ``years`` Julian years after J2000.0.
+
+    ``radius_rad`` is the largest distance at which a look-up must find a star.
+    """
+    at_epoch = catalogue.direction + years * catalogue.motion
+    at_epoch /= np.linalg.norm(at_epoch, axis=1, keepdims=True)
+    angle, a, b, start, width = _pair_table(at_epoch, pair_limit_rad)
+    cells = max(1, int((np.pi / 2) / max(_FINEST_CELL_RAD, 3.0 * radius_rad)))
+    cell_start, cell_star = _cube_map(at_epoch, radius_rad, cells)
+    return SkyIndex(
+        direction=np.ascontiguousarray(catalogue.direction, dtype=np.float64),
+        motion=np.ascontiguousarray(catalogue.motion, dtype=np.float64),
+        parallax=np.ascontiguousarray(catalogue.parallax, dtype=np.float64),
+        epoch_direction=at_epoch,
+        pair_angle=angle,
+        pair_a=a,
+        pair_b=b,
+        pair_start=start,
+        pair_bin_rad=width,
+        cell_start=cell_start,
+        cell_star=cell_star,
+        cells=cells,
+        radius_rad=radius_rad,
+        density_per_sr=len(at_epoch) / (4.0 * np.pi),
+    )
+
+
+def _pair_table(
+    direction: Floats, limit_rad: float
+) -> tuple[
+    NDArray[np.float32], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], float
+]:
+    chord = 2.0 * np.sin(0.5 * min(limit_rad, np.pi))
+    pairs = cKDTree(direction).query_pairs(chord, output_type="ndarray")
+    difference = direction[pairs[:, 0]] - direction[pairs[:, 1]]
+    length = np.sqrt(np.einsum("pi,pi->p", difference, difference))
+    angle = (2.0 * np.arcsin(np.minimum(0.5 * length, 1.0))).astype(np.float32)
+    # Ties broken by the stars, so that the table is the same whatever the tree's order.
+    order = np.lexsort((pairs[:, 1], pairs[:, 0], angle))
+    angle, pairs = angle[order], pairs[order].astype(np.int32)
+    bins = max(1, len(angle) // 4)
+    width = float(limit_rad / bins)
+    edges = np.arange(bins + 2) * width
+    start = np.searchsorted(angle, edges.astype(np.float32)).astype(np.int32)
+    return (
+        angle,
+        np.ascontiguousarray(pairs[:, 0]),
+        np.ascontiguousarray(pairs[:, 1]),
+        start,
+        width,
+    )
+
+
+def cube_cell(direction: Floats, cells: int) -> NDArray[np.int64]:
+    """Return the cell number (S,) of directions (S, 3) in the cube map."""
+    axis = np.argmax(np.abs(direction), axis=1)
+    rows = np.arange(len(direction))
+    major = direction[rows, axis]
+    u = direction[rows, (axis + 1) % 3] / np.abs(major)
+    v = direction[rows, (axis + 2) % 3] / np.abs(major)
+    # Equiangular along the edges: cells of nearly equal size.
+    i = np.clip(((np.arctan(u) / (np.pi / 2) + 0.5) * cells).astype(np.int64), 0, cells - 1)
+    j = np.clip(((np.arctan(v) / (np.pi / 2) + 0.5) * cells).astype(np.int64), 0, cells - 1)
+    face = 2 * axis + (major < 0)
+    return np.asarray((face * cells + i) * cells + j)
+
+
+def _cube_map(
+    direction: Floats, radius_rad: float, cells: int
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """List each star in every cell that its disc of ``radius_rad`` reaches.
+
+    A lattice over the square around the disc, finer than a cell, meets every such cell.
+    """
+    pole = np.where(np.abs(direction[:, 2:3]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]])
+    east = np.cross(pole, direction)
+    east /= np.linalg.norm(east, axis=1, keepdims=True)
+    north = np.cross(direction, east)
+    du, dv = (g.ravel() * 1.05 * radius_rad for g in np.meshgrid(_LATTICE, _LATTICE))
+    around = (
+        direction[:, None] + du[:, None] * east[:, None] + dv[:, None] * north[:, None]
+    ).reshape(-1, 3)
+    star = np.repeat(np.arange(len(direction)), len(du))
+    entries = np.unique(cube_cell(around, cells) * len(direction) + star)
+    cell, star = np.divmod(entries, len(direction))
+    start = np.searchsorted(cell, np.arange(6 * cells * cells + 1))
+    return start.astype(np.int32), star.astype(np.int32)

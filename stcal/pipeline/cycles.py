@@ -1,0 +1,190 @@
+"""Cycles of rematching and refitting, Enright 2018 section II-C."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stcal.calibration import Calibration
+from stcal.cameras import Camera
+from stcal.config import SensorConfig
+from stcal.estimators.batch import BatchSolution, levenberg_marquardt
+from stcal.estimators.information import SquareRootInformation, merge, reduce_rows
+from stcal.execution import OrderedMap
+from stcal.frames import FrameBatch, MatchedFrames
+from stcal.matching import Matcher, match
+from stcal.matching.identify import rematch_given, telemetered_matches
+from stcal.residuals import RESIDUALS
+from stcal.residuals.arclength import BoundArclength
+from stcal.residuals.selection import (
+    StarSelection,
+    reject_outliers,
+    robust_scale,
+    select_stars,
+    star_departures,
+)
+
+Floats = NDArray[np.float64]
+
+# Outliers are judged anew after each fit; it settles in two or three rounds.
+_REJECTION_ROUNDS = 5
+# Matches that may still flicker at the tolerance's edge when the set counts as settled.
+_SETTLED_SHARE = 1e-3
+
+FIRST_MATCHES = ("telemetry", "lost-in-space", "guided")
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """What one cycle of matching and fitting did."""
+
+    matching: str
+    matched: list[MatchedFrames]
+    bound: list[BoundArclength]
+    solution: BatchSolution
+    camera: Camera
+    noise_scale: float
+    rejected: int
+    changed: int
+
+    @property
+    def matched_stars(self) -> int:
+        """Number of matched stars."""
+        return sum(int(m.is_matched.sum()) for m in self.matched)
+
+
+def run_cycles(
+    batches: Sequence[FrameBatch],
+    initial: Calibration,
+    matcher: Matcher,
+    matches: str,
+    mapper: OrderedMap,
+    on_cycle: Callable[[Cycle], None],
+) -> tuple[list[Cycle], bool]:
+    """Match and fit until the matched set settles; return the cycles and whether it did.
+
+    ``matches`` says where the first cycle's matches come from, a name in FIRST_MATCHES.  Later
+    cycles rematch with the latest camera: lost in space if the first was, else guided by the
+    previous matches.
+    """
+    config, camera = matcher.config, initial.camera
+    cycles: list[Cycle] = []
+    previous: list[MatchedFrames] | None = None
+    for _ in range(config.fit.maximum_cycles):
+        method = matches if previous is None else _later(matches)
+        items = [
+            (batch, None if previous is None else previous[k]) for k, batch in enumerate(batches)
+        ]
+        task = partial(_match_one, camera=camera, c_sd=initial.c_sd, matcher=matcher, method=method)
+        matched = list(mapper(task, items))
+        changed = _changes(previous, matched)
+        cycle = _fit_matched(matched, camera, config, mapper, method, changed)
+        cycles.append(cycle)
+        on_cycle(cycle)
+        if not np.isfinite(cycle.camera.parameters).all() or not cycle.bound:
+            return cycles, False
+        settled = changed <= _SETTLED_SHARE * max(cycle.matched_stars, 1)
+        if previous is not None and settled:
+            return cycles, True
+        camera, previous = cycle.camera, matched
+    return cycles, False
+
+
+def _later(matches: str) -> str:
+    return "lost-in-space" if matches == "lost-in-space" else "guided"
+
+
+def _match_one(
+    item: tuple[FrameBatch, MatchedFrames | None],
+    camera: Camera,
+    c_sd: Floats,
+    matcher: Matcher,
+    method: str,
+) -> MatchedFrames:
+    frames, previous = item
+    if method == "telemetry":
+        known = telemetered_matches(frames, matcher.catalogue)
+        return rematch_given(frames, camera, matcher.catalogue, known)
+    hints = None
+    if method == "guided" and previous is not None:
+        # The new camera's D frame may be turned against the old: solve the old matches in it.
+        hints = rematch_given(frames, camera, matcher.catalogue, previous.star).c_di
+    return match(frames, camera, c_sd, matcher, method, hints)
+
+
+def _changes(previous: list[MatchedFrames] | None, now: list[MatchedFrames]) -> int:
+    if previous is None:
+        return sum(int(m.is_matched.sum()) for m in now)
+    return sum(int((a.star != b.star).sum()) for a, b in zip(previous, now, strict=True))
+
+
+def _fit_matched(
+    matched: list[MatchedFrames],
+    camera: Camera,
+    config: SensorConfig,
+    mapper: OrderedMap,
+    matching: str,
+    changed: int,
+) -> Cycle:
+    """Fit the camera to one set of matches, leaving out outliers until they settle."""
+    minimum = config.fit.minimum_stars_per_exposure
+    everything = [select_stars(m, config.noise, minimum) for m in matched]
+    total = sum(len(s.star) for s in everything)
+    scale = np.array([config.camera.scale[name].sigma for name in camera.parameter_names])
+    kept_before: list[StarSelection] | None = None
+    start = None
+    for _ in range(_REJECTION_ROUNDS):
+        spread = robust_scale(
+            np.concatenate(list(mapper(partial(star_departures, camera=camera), everything)))
+        )
+        reject = partial(
+            reject_outliers,
+            camera=camera,
+            sigma=config.fit.rejection_sigma,
+            scale=spread,
+            minimum=minimum,
+        )
+        kept = list(mapper(reject, everything))
+        if kept_before is not None and _same(kept_before, kept):
+            break
+        bound = list(mapper(partial(RESIDUALS["arclength"], camera=camera), kept))
+        solution = solve(bound, camera, scale, mapper)
+        start = solution.chi2_start if start is None else start
+        camera, kept_before = camera.with_parameters(solution.parameters), kept
+    kept_before = kept_before or []
+    used = sum(len(s.star) for s in kept_before)
+    dof = solution.information.rows - len(scale)
+    return Cycle(
+        matching=matching,
+        matched=matched,
+        bound=bound,
+        solution=solution,
+        camera=camera,
+        noise_scale=float(np.sqrt(solution.chi2 / dof)) if dof > 0 else float("nan"),
+        rejected=total - used,
+        changed=changed,
+    )
+
+
+def _same(a: Sequence[StarSelection], b: Sequence[StarSelection]) -> bool:
+    return all(np.array_equal(x.star, y.star) for x, y in zip(a, b, strict=True))
+
+
+def solve(
+    bound: Sequence[BoundArclength], camera: Camera, scale: Floats, mapper: OrderedMap
+) -> BatchSolution:
+    """Run the batch estimator over fragments of whitened residuals."""
+
+    def linearise(parameters: Floats) -> SquareRootInformation:
+        task = partial(_reduce, camera=camera.with_parameters(parameters))
+        return merge(mapper(task, bound))
+
+    return levenberg_marquardt(linearise, camera.parameters, scale)
+
+
+def _reduce(bound: BoundArclength, camera: Camera) -> SquareRootInformation:
+    return reduce_rows(bound.linearise(camera), bound.rows)

@@ -1,0 +1,133 @@
+"""The matched stars that a fit uses: exposures with enough of them, as columns, without outliers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stcal.attitude import residual_angles, solve_wahba
+from stcal.cameras import Camera
+from stcal.config import Noise
+from stcal.frames import MatchedFrames
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_ROUNDS = 10
+# Median of the Rayleigh distribution with unit sd per axis.
+_RAYLEIGH_MEDIAN = float(np.sqrt(2.0 * np.log(2.0)))
+
+
+@dataclass(frozen=True)
+class StarSelection:
+    """Matched stars of usable exposures, exposure by exposure.
+
+    Attributes
+    ----------
+    star : (K,) index of each into the batch's detections
+    exposure : (K,) which usable exposure, 0..X-1, rising
+    row_px, col_px : (K,) centroids
+    s_i : (K, 3) apparent directions in I
+    sd_px : (K,) centroid noise, one sigma per axis
+    n_exposures : X
+    """
+
+    star: Ints
+    exposure: Ints
+    row_px: Floats
+    col_px: Floats
+    s_i: Floats
+    sd_px: Floats
+    n_exposures: int
+
+    @cached_property
+    def offsets(self) -> Ints:
+        """(X + 1,) ranges of the exposures."""
+        counts = np.bincount(self.exposure, minlength=self.n_exposures)
+        return np.concatenate(([0], np.cumsum(counts)))
+
+    def keep(self, mask: NDArray[np.bool_], minimum: int) -> StarSelection:
+        """Return the kept stars of the exposures that still have ``minimum`` of them."""
+        count = np.bincount(self.exposure[mask], minlength=self.n_exposures)
+        mask = mask & (count >= minimum)[self.exposure]
+        number, exposure = np.unique(self.exposure[mask], return_inverse=True)
+        return StarSelection(
+            self.star[mask],
+            exposure.astype(np.int64),
+            self.row_px[mask],
+            self.col_px[mask],
+            self.s_i[mask],
+            self.sd_px[mask],
+            len(number),
+        )
+
+
+def centroid_sd(noise: Noise, intensity: Floats) -> Floats:
+    """Return the centroid sd (S,) in pixels per axis of a noise model.
+
+    A star without intensity gets the floor of the ``intensity`` model.
+    """
+    floor = np.full(len(intensity), noise.sd_px)
+    if noise.model == "constant":
+        return floor
+    with np.errstate(divide="ignore", invalid="ignore"):
+        photon = noise.photon_sd_px**2 * noise.reference_intensity / intensity
+    return np.sqrt(floor**2 + np.where(np.isfinite(photon) & (photon > 0), photon, 0.0))
+
+
+def select_stars(matched: MatchedFrames, noise: Noise, minimum: int) -> StarSelection:
+    """Take the matched stars of the exposures with at least ``minimum`` (Enright: N_min = 4)."""
+    frames = matched.frames
+    star = np.flatnonzero(matched.is_matched & matched.solved[frames.exposure_of_star])
+    everything = StarSelection(
+        star=star,
+        exposure=frames.exposure_of_star[star],
+        row_px=frames.row_px[star],
+        col_px=frames.col_px[star],
+        s_i=matched.s_i[star],
+        sd_px=centroid_sd(noise, frames.intensity[star]),
+        n_exposures=frames.n_exposures,
+    )
+    return everything.keep(np.ones(len(star), dtype=bool), minimum)
+
+
+def star_departures(selection: StarSelection, camera: Camera) -> Floats:
+    """Return each star's departure (K,) from its exposure's attitude, in units of its noise.
+
+    Scaled so that a star's departure has unit sd per axis: an attitude fitted to N stars takes 3
+    of the 2 N degrees of freedom.
+    """
+    if len(selection.star) == 0:
+        return np.empty(0)
+    s_d = camera.directions(selection.row_px, selection.col_px)
+    sd = selection.sd_px * camera.noise_scale(selection.row_px, selection.col_px)
+    c_di = solve_wahba(s_d, selection.s_i, sd**-2.0, selection.exposure, selection.n_exposures)
+    angle = residual_angles(s_d, selection.s_i, c_di[selection.exposure])
+    n = np.diff(selection.offsets)[selection.exposure]
+    return angle / sd / np.sqrt((2.0 * n - 3.0) / (2.0 * n))
+
+
+def robust_scale(departures: Floats) -> float:
+    """Return the sd per axis of departures, from their median."""
+    return float(np.median(departures)) / _RAYLEIGH_MEDIAN if len(departures) else 1.0
+
+
+def reject_outliers(
+    selection: StarSelection, camera: Camera, sigma: float, scale: float, minimum: int
+) -> StarSelection:
+    """Leave out stars beyond ``sigma`` times ``scale``, the worst of each exposure at a time.
+
+    One at a time, because a gross centroid bends the attitude that judges its neighbours.
+    """
+    for _ in range(_ROUNDS):
+        departure = star_departures(selection, camera)
+        worst = np.zeros(selection.n_exposures)
+        np.maximum.at(worst, selection.exposure, departure)
+        out = (departure > sigma * scale) & (departure == worst[selection.exposure])
+        if not out.any():
+            break
+        selection = selection.keep(~out, minimum)
+    return selection
