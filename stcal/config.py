@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import tomllib
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -93,8 +94,10 @@ class Matching(_Section):
     pair_limit_deg: Positive = 12.0
     # Brightest detections that seed hypotheses.
     seed_stars: Annotated[int, Field(ge=3, le=64)] = 12
-    # Accepted probability that chance alone explains an accepted exposure.
-    false_alarm: Annotated[float, Field(gt=0, lt=0.1)] = 1e-6
+    # Faintest catalogue stars in the pair table; None: all. Deep catalogues need a limit here.
+    seed_magnitude: Finite | None = None
+    # Accepted expectation of false alarms in an exposure without a true solution.
+    false_alarm: Annotated[float, Field(gt=0, lt=0.1)] = 1e-4
     # Radius in which `guided` looks around its attitude hint.
     hint_radius_deg: Positive = 0.3
 
@@ -102,7 +105,7 @@ class Matching(_Section):
 class Fit(_Section):
     """The batch fit and the gates behind which its result may leave."""
 
-    maximum_cycles: Annotated[int, Field(ge=1, le=50)] = 6
+    maximum_cycles: Annotated[int, Field(ge=1, le=50)] = 8
     minimum_stars_per_exposure: Annotated[int, Field(ge=3)] = 4
     # A star is dropped when it departs by more than this many robust sigma.
     rejection_sigma: Positive = 5.0
@@ -175,3 +178,21 @@ def _lines(error: ValidationError) -> list[str]:
         f"  {'.'.join(str(part) for part in item['loc']) or 'file'}: {item['msg']}"
         for item in error.errors()
     ]
+
+
+def config_json(config: SensorConfig) -> str:
+    """Return the validated configuration as canonical JSON: what a store records."""
+    return config.model_dump_json(by_alias=True, indent=1) + "\n"
+
+
+def config_from_json(text: str, path: Path) -> SensorConfig:
+    """Read what :func:`config_json` wrote."""
+    try:
+        return SensorConfig.model_validate_json(text)
+    except ValidationError as error:
+        raise ConfigError(f"{path}:\n" + "\n".join(_lines(error))) from None
+
+
+def config_sha256(config: SensorConfig) -> str:
+    """Return the hex SHA-256 of the canonical JSON."""
+    return hashlib.sha256(config_json(config).encode()).hexdigest()

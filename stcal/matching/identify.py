@@ -52,7 +52,10 @@ class Matcher:
 def _index(matcher: Matcher, year: int) -> SkyIndex:
     rules = matcher.config.matching
     radius = max(rules.hint_radius_deg * DEG, 3.0 * rules.star_tolerance_urad * URAD)
-    return build_index(matcher.catalogue, float(year), rules.pair_limit_deg * DEG, radius)
+    faintest = np.inf if rules.seed_magnitude is None else rules.seed_magnitude
+    return build_index(
+        matcher.catalogue, float(year), rules.pair_limit_deg * DEG, radius, faintest
+    )
 
 
 def _no_hints(frames: FrameBatch, hints: Floats | None, c_sd: Floats) -> Floats:

@@ -51,15 +51,22 @@ class SkyIndex:
 
 
 def build_index(
-    catalogue: StarCatalogue, years: float, pair_limit_rad: float, radius_rad: float
+    catalogue: StarCatalogue,
+    years: float,
+    pair_limit_rad: float,
+    radius_rad: float,
+    seed_magnitude: float = np.inf,
 ) -> SkyIndex:
     """Index a selected catalogue at ``years`` Julian years after J2000.0.
 
-    ``radius_rad`` is the largest distance at which a look-up must find a star.
+    ``radius_rad`` is the largest distance at which a look-up must find a star; pairs are made of
+    stars up to ``seed_magnitude``.
     """
     at_epoch = catalogue.direction + years * catalogue.motion
     at_epoch /= np.linalg.norm(at_epoch, axis=1, keepdims=True)
-    angle, a, b, start, width = _pair_table(at_epoch, pair_limit_rad)
+    angle, a, b, start, width = _pair_table(
+        at_epoch, np.flatnonzero(catalogue.magnitude <= seed_magnitude), pair_limit_rad
+    )
     cells = max(1, int((np.pi / 2) / max(_FINEST_CELL_RAD, 3.0 * radius_rad)))
     cell_start, cell_star = _cube_map(at_epoch, radius_rad, cells)
     return SkyIndex(
@@ -81,12 +88,12 @@ def build_index(
 
 
 def _pair_table(
-    direction: Floats, limit_rad: float
+    direction: Floats, seeds: NDArray[np.int64], limit_rad: float
 ) -> tuple[
     NDArray[np.float32], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], float
 ]:
     chord = 2.0 * np.sin(0.5 * min(limit_rad, np.pi))
-    pairs = cKDTree(direction).query_pairs(chord, output_type="ndarray")
+    pairs = seeds[cKDTree(direction[seeds]).query_pairs(chord, output_type="ndarray")]
     difference = direction[pairs[:, 0]] - direction[pairs[:, 1]]
     length = np.sqrt(np.einsum("pi,pi->p", difference, difference))
     angle = (2.0 * np.arcsin(np.minimum(0.5 * length, 1.0))).astype(np.float32)

@@ -1,0 +1,119 @@
+"""What several commands read: options, the store's frames, configuration and catalogue."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+if TYPE_CHECKING:
+    from stcal.config import SensorConfig
+    from stcal.frames import FrameBatch
+    from stcal.matching import Matcher
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
+STORE = click.option(
+    "--store", required=True, type=click.Path(path_type=Path), help="Folder of the Parquet store."
+)
+SENSOR = click.option("--sensor", required=True, help="The sensor's name, e.g. ST16-1.")
+OUT = click.option(
+    "--out", required=True, type=click.Path(path_type=Path, file_okay=False), help="Output folder."
+)
+CONFIG = click.option(
+    "--config",
+    type=click.Path(path_type=Path),
+    help="Sensor configuration; the one that ingest recorded in the store if not given.",
+)
+WORKERS = click.option(
+    "--workers", type=click.IntRange(1, 256), default=1, show_default=True, help="Threads."
+)
+FROM = click.option("--from", "start", help="Use frames from this UTC time on.")
+TO = click.option("--to", "stop", help="Use frames before this UTC time.")
+
+
+def store_options(function: F) -> F:
+    """Add the options of every command that reads one sensor's frames from a store."""
+    for option in (JSON, WORKERS, TO, FROM, CONFIG, SENSOR, STORE):
+        function = option(function)
+    return function
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """One sensor's frames with what is needed to process them."""
+
+    batches: list[FrameBatch]
+    matcher: Matcher
+    provenance: dict[str, Any]
+
+
+def read_inputs(
+    store: Path, sensor: str, config: Path | None, start: str | None, stop: str | None
+) -> Inputs:
+    """Read a sensor's frames of a time range, its configuration and its catalogue."""
+    from stcal.catalog.catalogue import catalogue_sha256, select
+    from stcal.config import config_sha256
+    from stcal.matching import Matcher
+    from stcal.pipeline.describe import span_of
+    from stcal.telemetry.store import Store
+    from stcal.version import __version__
+
+    opened = Store.open(store)
+    limits = parse_time(start, "--from"), parse_time(stop, "--to")
+    fragments = opened.require_fragments(sensor, *limits)
+    settings = load_settings(opened, sensor, config)
+    section = settings.catalogue
+    full = load_catalogue(settings)
+    chosen = select(full, section.limiting_magnitude, section.merge_separation_arcsec)
+    batches = [opened.read_fragment(fragment) for fragment in fragments]
+    provenance = {
+        "telemetry_sha256": opened.sha256(sensor, *limits),
+        "catalogue_sha256": catalogue_sha256(full),
+        "config_sha256": config_sha256(settings),
+        "software": f"stcal {__version__}",
+        **span_of(batches),
+    }
+    return Inputs(batches, Matcher(chosen, settings), provenance)
+
+
+def load_catalogue(settings: SensorConfig) -> Any:
+    """Return the catalogue that a configuration names, else the bundled one."""
+    from stcal.catalog.catalogue import load, load_bundled
+
+    path = settings.catalogue.path
+    return load_bundled() if path is None else load(Path(path))
+
+
+def load_settings(opened: Any, sensor: str, config: Path | None) -> SensorConfig:
+    """Return the configuration given, or the one that the store has recorded for the sensor."""
+    from stcal.config import load_config
+    from stcal.errors import ConfigError
+
+    if config is None:
+        recorded: SensorConfig = opened.config_for(sensor)
+        return recorded
+    settings = load_config(config)
+    if not settings.applies_to(sensor):
+        raise ConfigError(
+            f"{config}: describes {', '.join(settings.sensor_ids)}, not sensor {sensor}"
+        )
+    return settings
+
+
+def parse_time(text: str | None, option: str) -> int | None:
+    """Return TAI ns of a UTC option; a plain date means its first moment."""
+    from stcal.errors import UsageError
+    from stcal.times import parse_utc
+
+    if text is None:
+        return None
+    full = text if "T" in text else f"{text.removesuffix('Z')}T00:00:00Z"
+    try:
+        return parse_utc(full)
+    except ValueError as error:
+        raise UsageError(f"{option}: {error}") from None

@@ -1,0 +1,83 @@
+"""``stcal match``: identify the stars of stored telemetry with a calibration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from stcal.cli.inputs import OUT, read_inputs, store_options
+from stcal.cli.output import emit, progress
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+@click.command(name="match")
+@click.option("--calibration", required=True, type=click.Path(path_type=Path), help="Calibration.")
+@click.option(
+    "--matching",
+    type=click.Choice(["lost-in-space", "guided"]),
+    default="lost-in-space",
+    show_default=True,
+    help="How the stars are identified.",
+)
+@OUT
+@store_options
+def command(
+    calibration: Path,
+    matching: str,
+    out: Path,
+    store: Path,
+    sensor: str,
+    config: Path | None,
+    start: str | None,
+    stop: str | None,
+    workers: int,
+    as_json: bool,
+) -> None:
+    """Identify stars and solve attitudes.
+
+    Writes matches.parquet (one row per star of every exposure) and attitudes.parquet (one row per
+    frame: the quaternion of its better exposure) into --out.
+    """
+    from functools import partial
+
+    from stcal.calibration import load
+    from stcal.execution import scheduler
+    from stcal.matching import match
+    from stcal.pipeline.fit import check_detector
+    from stcal.telemetry.matches import summary, write_attitudes, write_matches
+
+    chosen = load(calibration)
+    inputs = read_inputs(store, sensor, config, start, stop)
+    check_detector(chosen, inputs.matcher.config)
+    task = partial(
+        match, camera=chosen.camera, c_sd=chosen.c_sd, matcher=inputs.matcher, method=matching
+    )
+    matched = []
+    with scheduler(workers) as mapper, progress("match", total=len(inputs.batches)) as bar:
+        for part in mapper(task, inputs.batches):
+            matched.append(part)
+            bar.advance()
+    catalogue = inputs.matcher.catalogue
+    write_matches(matched, catalogue, out / "matches.parquet")
+    write_attitudes(matched, chosen.c_sd, out / "attitudes.parquet")
+    document = {"sensor_id": sensor, "matching": matching} | summary(matched)
+    emit(document, as_json, lambda console: _table(document, console))
+
+
+def _table(document: dict[str, Any], console: Console) -> None:
+    from rich.table import Table
+
+    table = Table(title=f"{document['sensor_id']}: {document['matching']}")
+    table.add_column("Quantity")
+    table.add_column("Value", justify="right")
+    for key in ("frames", "frames_solved", "exposures", "exposures_solved", "stars", "matched_stars"):
+        table.add_row(key.replace("_", " "), str(document[key]))
+    for reason, count in document["unsolved"].items():
+        table.add_row(f"unsolved: {reason}", str(count))
+    rms = document["rms_residual_urad"]
+    table.add_row("RMS residual [urad]", "-" if rms is None else f"{rms:.1f}")
+    console.print(table)
