@@ -51,7 +51,7 @@ def attitude_covariance(s_d: Floats, sd: Floats, exposure: Ints, n_exposures: in
     ).reshape(-1, 3, 3)
     eigenvalue = np.linalg.eigvalsh(total)
     good = eigenvalue[:, 0] > 1e-12 * np.maximum(eigenvalue[:, 2], 1e-300)
-    covariance = np.full_like(total, np.nan)
+    covariance = np.full(total.shape, np.nan)
     covariance[good] = np.linalg.inv(total[good])
     return covariance
 
@@ -59,7 +59,7 @@ def attitude_covariance(s_d: Floats, sd: Floats, exposure: Ints, n_exposures: in
 def residual_angles(s_d: Floats, s_i: Floats, c_di: Floats) -> Floats:
     """Return |s_d - c_di s_i| (S,) rad; c_di is given per star (S, 3, 3)."""
     difference = s_d - np.einsum("sij,sj->si", c_di, s_i)
-    return np.sqrt(np.einsum("si,si->s", difference, difference))
+    return np.asarray(np.sqrt(np.einsum("si,si->s", difference, difference)))
 
 
 def better_exposure(matched: MatchedFrames) -> NDArray[np.int8]:
@@ -167,5 +167,3 @@ def _most_central(rotations: Floats, sample: int = 200) -> int:
     flat = rotations[index].reshape(len(index), 9)
     trace = flat @ flat.T
     return int(index[np.argmax(np.median(trace, axis=1))])
-
-

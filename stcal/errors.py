@@ -4,7 +4,6 @@ Expected failures of the data (too few stars, no match) are returned values with
 exceptions.  What is raised here is broken input, broken configuration, or a refusal.
 """
 
-
 from typing import Any
 
 
@@ -31,7 +30,7 @@ class ConfigError(InputError):
     """A configuration file is wrong; the message lists every error at once."""
 
 
-class GateRefusal(StcalError):
+class GateRefusalError(StcalError):
     """A safety gate refused to let a result pass."""
 
     exit_code = 4

@@ -33,4 +33,8 @@ def scheduler(workers: int) -> Iterator[OrderedMap]:
         yield serial
         return
     with ThreadPoolExecutor(workers) as pool:
-        yield pool.map
+
+        def threaded(function: Callable[[T], U], items: Iterable[T]) -> Iterator[U]:
+            return pool.map(function, items)
+
+        yield threaded

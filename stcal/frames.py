@@ -100,7 +100,7 @@ class FrameBatch:
     @cached_property
     def has_fix(self) -> Bools:
         """(F,) whether the telemetry carries a quaternion."""
-        return np.isfinite(self.q_si).all(axis=1)
+        return np.asarray(np.isfinite(self.q_si).all(axis=1))
 
     @cached_property
     def counts_for_availability(self) -> Bools:
@@ -109,10 +109,10 @@ class FrameBatch:
 
     def take(self, frames: NDArray[np.bool_] | Ints) -> FrameBatch:
         """Return the selected frames (mask, or indices in the wanted order) with their stars."""
-        index = np.flatnonzero(frames) if frames.dtype == np.bool_ else np.asarray(frames)
-        exposures = (
-            EXPOSURES_PER_FRAME * index[:, None] + np.arange(EXPOSURES_PER_FRAME)
-        ).ravel()
+        index: Ints = (
+            np.flatnonzero(frames) if frames.dtype == np.bool_ else np.asarray(frames, int)
+        )
+        exposures = (EXPOSURES_PER_FRAME * index[:, None] + np.arange(EXPOSURES_PER_FRAME)).ravel()
         stars, offsets = take_ranges(self.star_offsets, exposures)
         columns = {name: getattr(self, name)[index] for name in _PER_FRAME}
         columns |= {name: getattr(self, name)[stars] for name in _PER_STAR}
@@ -179,4 +179,4 @@ class MatchedFrames:
     @cached_property
     def frame_solved(self) -> Bools:
         """(F,) whether any exposure of the frame was identified."""
-        return self.solved.reshape(-1, EXPOSURES_PER_FRAME).any(axis=1)
+        return np.asarray(self.solved.reshape(-1, EXPOSURES_PER_FRAME).any(axis=1))

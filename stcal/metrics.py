@@ -40,7 +40,9 @@ class PairSums:
         return float(np.sqrt(self.squares.sum() / total)) if total else float("nan")
 
 
-def pair_sums(bound: BoundArclength, frame_of_star: Ints, n_frames: int, camera: Camera) -> PairSums:
+def pair_sums(
+    bound: BoundArclength, frame_of_star: Ints, n_frames: int, camera: Camera
+) -> PairSums:
     """Sum arclength errors of one camera over given arcs, by frame.
 
     ``frame_of_star`` (S,) maps a detection of the batch to its frame.
@@ -48,7 +50,8 @@ def pair_sums(bound: BoundArclength, frame_of_star: Ints, n_frames: int, camera:
     frame = frame_of_star[bound.selection.star[bound.pair_i]]
     squares = bound.departures(camera) ** 2
     return PairSums(
-        np.bincount(frame, squares, minlength=n_frames), np.bincount(frame, minlength=n_frames)
+        np.bincount(frame, squares, minlength=n_frames).astype(np.float64),
+        np.bincount(frame, minlength=n_frames),
     )
 
 
@@ -126,7 +129,7 @@ def residual_vectors(selection: StarSelection, camera: Camera) -> Floats:
 
 
 def detector_cells(rows: int, cols: int, across: int = 12) -> tuple[int, int]:
-    """Return the numbers of nearly square cells (down, across) that reports divide a detector in."""
+    """Return the numbers of nearly square cells (down, across) of a detector."""
     size = max(rows, cols) / across
     return max(1, round(rows / size)), max(1, round(cols / size))
 

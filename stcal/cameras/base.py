@@ -69,7 +69,7 @@ class Camera:
     def directions(self, m: Floats, n: Floats) -> Floats:
         """Return unit star vectors s_d (S, 3) of centroids in pixels."""
         r = self.model.ray(self.parameters, self.pixel_size_m, m, n)
-        return r / np.sqrt(np.einsum("si,si->s", r, r))[:, None]
+        return np.asarray(r / np.sqrt(np.einsum("si,si->s", r, r))[:, None])
 
     def jacobian(self, m: Floats, n: Floats) -> tuple[Floats, Floats, Floats]:
         """Return s_d (S, 3), ds_d/dx (S, 3, P) and ds_d/d(m, n) (S, 3, 2).
@@ -90,7 +90,7 @@ class Camera:
         star-position error (eqs 16-17) keeps the true total variance off the axis.
         """
         by_pixel = self.jacobian(m, n)[2]
-        return np.sqrt(0.5 * np.einsum("sij,sij->s", by_pixel, by_pixel))
+        return np.asarray(np.sqrt(0.5 * np.einsum("sij,sij->s", by_pixel, by_pixel)))
 
     def project(self, s_d: Floats) -> tuple[Floats, Floats]:
         """Return centroids (m, n) in pixels of directions s_d (S, 3): the exact inverse map.

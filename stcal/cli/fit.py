@@ -80,8 +80,8 @@ def command(
 
 def write_documents(document: dict[str, Any], path: Path, report: Path) -> None:
     """Write a document and the HTML report made of it."""
-    from stcal.calibration import canonical_json
     from stcal.atomic import write_text
+    from stcal.calibration import canonical_json
     from stcal.report.html import write_report
 
     write_text(path, canonical_json(document))

@@ -74,7 +74,14 @@ def _table(document: dict[str, Any], console: Console) -> None:
     table = Table(title=f"{document['sensor_id']}: {document['matching']}")
     table.add_column("Quantity")
     table.add_column("Value", justify="right")
-    for key in ("frames", "frames_solved", "exposures", "exposures_solved", "stars", "matched_stars"):
+    for key in (
+        "frames",
+        "frames_solved",
+        "exposures",
+        "exposures_solved",
+        "stars",
+        "matched_stars",
+    ):
         table.add_row(key.replace("_", " "), str(document[key]))
     for reason, count in document["unsolved"].items():
         table.add_row(f"unsolved: {reason}", str(count))

@@ -52,7 +52,11 @@ def command(
 
     old, new = load(baseline), load(candidate)
     inputs = read_inputs(store, sensor, config, start, stop)
-    hashes = {**inputs.provenance, "baseline": sha256_of(baseline), "candidate": sha256_of(candidate)}
+    hashes = {
+        **inputs.provenance,
+        "baseline": sha256_of(baseline),
+        "candidate": sha256_of(candidate),
+    }
     with scheduler(workers) as mapper, progress(f"validate {sensor}"):
         document = validate(inputs.batches, old, new, inputs.matcher, hashes, matching, mapper)
     write_documents(document, out / "validation.json", out / "report.html")

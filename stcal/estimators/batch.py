@@ -126,5 +126,5 @@ def observability(information: SquareRootInformation, scale: Floats) -> Observab
     return Observability(values, vectors.T, _condition(raw), _condition(values))
 
 
-def _condition(values: Floats) -> float:
+def _condition(values: NDArray[np.floating]) -> float:
     return float(values[0] / values[-1]) if values[-1] > 0 else float("inf")

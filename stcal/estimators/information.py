@@ -43,10 +43,14 @@ class SquareRootInformation:
 def reduce_rows(rows: Floats, count: int) -> SquareRootInformation:
     """Reduce whitened rows [H | r] (A, P + 1) by QR."""
     width = rows.shape[1]
-    factor = np.linalg.qr(rows, mode="r")
+    factor = _triangle(rows)
     if len(factor) < width:
         factor = np.vstack([factor, np.zeros((width - len(factor), width))])
     return SquareRootInformation(factor, count)
+
+
+def _triangle(rows: Floats) -> Floats:
+    return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
 def merge(partials: Iterable[SquareRootInformation]) -> SquareRootInformation:
@@ -57,7 +61,7 @@ def merge(partials: Iterable[SquareRootInformation]) -> SquareRootInformation:
             total = partial
             continue
         stacked = np.vstack([total.factor, partial.factor])
-        total = SquareRootInformation(np.linalg.qr(stacked, mode="r"), total.rows + partial.rows)
+        total = SquareRootInformation(_triangle(stacked), total.rows + partial.rows)
     if total is None:
         raise ValueError("nothing to merge")
     return total

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -26,7 +27,7 @@ REASONS = ("solved", "too few stars", "no match")
 _CROWDING = 1.5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Matcher:
     """A catalogue and a sensor's matching rules, ready to identify frames.
 
@@ -41,21 +42,13 @@ class Matcher:
         """Return the sky index at ``year`` Julian years after J2000.0."""
         return _index(self, year)
 
-    def __hash__(self) -> int:
-        return id(self)
-
-    def __eq__(self, other: object) -> bool:
-        return self is other
-
 
 @lru_cache(maxsize=8)
 def _index(matcher: Matcher, year: int) -> SkyIndex:
     rules = matcher.config.matching
     radius = max(rules.hint_radius_deg * DEG, 3.0 * rules.star_tolerance_urad * URAD)
     faintest = np.inf if rules.seed_magnitude is None else rules.seed_magnitude
-    return build_index(
-        matcher.catalogue, float(year), rules.pair_limit_deg * DEG, radius, faintest
-    )
+    return build_index(matcher.catalogue, float(year), rules.pair_limit_deg * DEG, radius, faintest)
 
 
 def _no_hints(frames: FrameBatch, hints: Floats | None, c_sd: Floats) -> Floats:
@@ -170,11 +163,7 @@ def _by_year(years: Floats) -> list[tuple[int, slice]]:
     whole = np.round(years).astype(int)
     edges = np.flatnonzero(np.diff(whole)) + 1
     bounds = np.concatenate(([0], edges, [len(whole)])).astype(int)
-    return [
-        (int(whole[a]), slice(int(a), int(b)))
-        for a, b in zip(bounds[:-1], bounds[1:], strict=True)
-        if b > a
-    ]
+    return [(int(whole[a]), slice(int(a), int(b))) for a, b in itertools.pairwise(bounds) if b > a]
 
 
 def _kernel_input(
@@ -217,7 +206,7 @@ def _matched(
     exposure = frames.exposure_of_star[matched]
     s_i = np.full((frames.n_stars, 3), np.nan)
     s_i[matched] = apparent_directions(
-        catalogue, star[matched], exposure // EXPOSURES_PER_FRAME, observer
+        catalogue, star[matched].astype(np.int64), exposure // EXPOSURES_PER_FRAME, observer
     )
     weight = np.ones(len(matched))
     c_di = solve_wahba(s_d[matched], s_i[matched], weight, exposure, frames.n_exposures)

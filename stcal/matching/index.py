@@ -89,9 +89,7 @@ def build_index(
 
 def _pair_table(
     direction: Floats, seeds: NDArray[np.int64], limit_rad: float
-) -> tuple[
-    NDArray[np.float32], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], float
-]:
+) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], float]:
     chord = 2.0 * np.sin(0.5 * min(limit_rad, np.pi))
     pairs = seeds[cKDTree(direction[seeds]).query_pairs(chord, output_type="ndarray")]
     difference = direction[pairs[:, 0]] - direction[pairs[:, 1]]

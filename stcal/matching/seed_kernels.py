@@ -158,7 +158,19 @@ def _try_triad(s, pivot, first, second, observer, sky, rule, work, star, c):
                 if volume * mirror < 0.0 and (abs(volume) > flat or abs(mirror) > flat):
                     continue
                 found = _settle_triad(
-                    s, pivot, first, second, u_hub, u_near, u_far, observer, sky, rule, work, star, c
+                    s,
+                    pivot,
+                    first,
+                    second,
+                    u_hub,
+                    u_near,
+                    u_far,
+                    observer,
+                    sky,
+                    rule,
+                    work,
+                    star,
+                    c,
                 )
                 if found > 0:
                     break

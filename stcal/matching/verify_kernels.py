@@ -143,7 +143,11 @@ def _assign(s, c, radius, observer, sky, star, target, distance2, owner):
         if found >= 0:
             if found != before:
                 apparent_place(
-                    sky.direction[found], sky.motion[found], sky.parallax[found], observer, target[k]
+                    sky.direction[found],
+                    sky.motion[found],
+                    sky.parallax[found],
+                    observer,
+                    target[k],
                 )
             rotate(c, target[k], b)
             distance2[k] = _distance2(b, s[k])

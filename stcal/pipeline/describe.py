@@ -37,7 +37,7 @@ def number(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def numbers(values: Floats | Sequence[float]) -> list[Any]:
+def numbers(values: NDArray[np.floating] | Sequence[float]) -> list[Any]:
     """Return nested lists of JSON numbers."""
     array = np.asarray(values, dtype=np.float64)
     if array.ndim > 1:
@@ -150,9 +150,7 @@ def _cycle(cycles: Sequence[Cycle], k: int, estimate: Estimate) -> dict[str, Any
     }
 
 
-def _parameters(
-    estimate: Estimate, initial: Calibration, matcher: Matcher
-) -> list[dict[str, Any]]:
+def _parameters(estimate: Estimate, initial: Calibration, matcher: Matcher) -> list[dict[str, Any]]:
     camera = estimate.last.camera
     sd = np.sqrt(np.diag(estimate.covariance))
     rows = []
@@ -225,8 +223,12 @@ def residual_views(
     selections: Sequence[StarSelection], before: Camera, after: Camera
 ) -> dict[str, Any]:
     """Return the residual field by detector cell and its radial profile, under two cameras."""
-    row, col = (np.concatenate([getattr(s, name) for s in selections]) for name in ("row_px", "col_px"))
-    vectors = [np.concatenate([residual_vectors(s, c) for s in selections]) for c in (before, after)]
+    row, col = (
+        np.concatenate([getattr(s, name) for s in selections]) for name in ("row_px", "col_px")
+    )
+    vectors = [
+        np.concatenate([residual_vectors(s, c) for s in selections]) for c in (before, after)
+    ]
     good = np.isfinite(vectors[0]).all(axis=1) & np.isfinite(vectors[1]).all(axis=1)
     row, col, old, new = row[good], col[good], vectors[0][good], vectors[1][good]
     return {

@@ -1,4 +1,4 @@
-"""Stage ``fit --batch``: refit the camera, update C_SD, judge, and describe it all in a document."""
+"""Stage ``fit --batch``: refit the camera, update C_SD, judge, and describe the result."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from stcal.calibration import Calibration
 from stcal.config import SensorConfig
 from stcal.constants import ARCSEC, EXPOSURES_PER_FRAME
-from stcal.errors import GateRefusal, InputError
+from stcal.errors import GateRefusalError, InputError
 from stcal.estimators.batch import Observability, covariance_from, observability
 from stcal.execution import OrderedMap, serial
 from stcal.frames import FrameBatch, MatchedFrames
@@ -135,9 +135,7 @@ def estimate_camera(
         settled=settled,
         covariance=_covariance(last, scale),
         observed=observed,
-        alignment=update_alignment(
-            initial.c_sd, _attitudes(baseline), _attitudes(last.matched)
-        ),
+        alignment=update_alignment(initial.c_sd, _attitudes(baseline), _attitudes(last.matched)),
         baseline=baseline,
         coverage=coverage(rows, cols, last.camera),
         rms_initial=before,
@@ -222,9 +220,9 @@ def _used_centroids(cycle: Cycle) -> tuple[Floats, Floats]:
     )
 
 
-def refusal_of(document: dict[str, Any]) -> GateRefusal:
+def refusal_of(document: dict[str, Any]) -> GateRefusalError:
     """Return the exception that ends a refused command, with the document for ``--json``."""
-    error = GateRefusal("refused: " + "; ".join(document["verdict"]["reasons"]))
+    error = GateRefusalError("refused: " + "; ".join(document["verdict"]["reasons"]))
     error.document = document
     return error
 

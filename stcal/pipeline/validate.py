@@ -1,4 +1,4 @@
-"""Stage ``validate``: two calibrations compared on held-out telemetry, Enright 2018 II-B and III."""
+"""Stage ``validate``: two calibrations on held-out telemetry, Enright 2018 II-B and III."""
 
 from __future__ import annotations
 
@@ -109,8 +109,7 @@ def _bind(
     """Return the star pairs of every solved exposure by the 2 N - 3 rule."""
     noise, minimum = matcher.config.noise, matcher.config.fit.minimum_stars_per_exposure
     return [
-        RESIDUALS["arclength"](select_stars(m, noise, minimum), calibration.camera)
-        for m in matched
+        RESIDUALS["arclength"](select_stars(m, noise, minimum), calibration.camera) for m in matched
     ]
 
 
@@ -193,7 +192,8 @@ def _figures(compared: Comparison) -> dict[str, Any]:
     rms = [_interval(root_ratio, s.squares / URAD**2, s.pairs) for s in (old, new)]
     rms_ratio = _interval(root_ratio, new.squares, old.squares)
     return {
-        "availability": _pair([i.value for i in availability]) | {"interval": _pair_of(availability)},
+        "availability": _pair([i.value for i in availability])
+        | {"interval": _pair_of(availability)},
         "matched_stars": {"baseline": int(old_stars.sum()), "candidate": int(new_stars.sum())},
         "matched_star_ratio": describe.number(matched_ratio.value),
         "matched_star_ratio_interval": _bounds(matched_ratio),
@@ -205,7 +205,7 @@ def _figures(compared: Comparison) -> dict[str, Any]:
     }
 
 
-def _interval(statistic: Any, *columns: Floats) -> Interval:
+def _interval(statistic: Any, *columns: NDArray[Any]) -> Interval:
     return bootstrap(statistic, np.stack(columns, axis=1).astype(np.float64), CONFIDENCE)
 
 
@@ -244,7 +244,9 @@ def _judge(compared: Comparison) -> tuple[list[str], list[str]]:
     }
     reasons, notes = [], []
     for name, gain in better.items():
-        text = f"{name} worse by {-gain.value:.2%} (95 % interval {-gain.high:.2%} to {-gain.low:.2%})"
+        text = (
+            f"{name} worse by {-gain.value:.2%} (95 % interval {-gain.high:.2%} to {-gain.low:.2%})"
+        )
         if gain.high < 0:
             reasons.append(text)
         elif gain.value < 0:

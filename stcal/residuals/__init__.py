@@ -4,13 +4,19 @@ A residual is bound to matched stars once (``bind``), and then linearised at any
 an estimator asks.  Its rows are whitened: independent, of unit variance under the noise model.
 """
 
-from collections.abc import Callable
+from typing import Protocol
 
 from stcal.cameras import Camera
 from stcal.residuals.arclength import BoundArclength, bind_arclength
 from stcal.residuals.selection import StarSelection, select_stars
 
-Bind = Callable[[StarSelection, Camera], BoundArclength]
+
+class Bind(Protocol):
+    """Bind a residual to matched stars; the camera gives the noise in rad."""
+
+    def __call__(self, selection: StarSelection, camera: Camera) -> BoundArclength:
+        """Return the bound residual."""
+
 
 RESIDUALS: dict[str, Bind] = {"arclength": bind_arclength}
 

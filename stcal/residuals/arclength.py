@@ -47,9 +47,7 @@ class BoundArclength:
 
         s_d, by_parameter, _ = camera.jacobian(self.selection.row_px, self.selection.col_px)
         out = np.empty((len(self.pair_i), by_parameter.shape[2] + 1))
-        whiten(
-            self.pair_i, self.pair_j, self.lower, self.starts, self.arc, s_d, by_parameter, out
-        )
+        whiten(self.pair_i, self.pair_j, self.lower, self.starts, self.arc, s_d, by_parameter, out)
         return out
 
     def departures(self, camera: Camera) -> Floats:

@@ -1,4 +1,4 @@
-"""The matched stars that a fit uses: exposures with enough of them, as columns, without outliers."""
+"""The matched stars that a fit uses: enough of them in each exposure, without outliers."""
 
 from __future__ import annotations
 
@@ -75,7 +75,8 @@ def centroid_sd(noise: Noise, intensity: Floats) -> Floats:
         return floor
     with np.errstate(divide="ignore", invalid="ignore"):
         photon = noise.photon_sd_px**2 * noise.reference_intensity / intensity
-    return np.sqrt(floor**2 + np.where(np.isfinite(photon) & (photon > 0), photon, 0.0))
+    known = np.isfinite(photon) & (photon > 0)
+    return np.asarray(np.sqrt(floor**2 + np.where(known, photon, 0.0)))
 
 
 def select_stars(matched: MatchedFrames, noise: Noise, minimum: int) -> StarSelection:

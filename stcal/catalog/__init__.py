@@ -1,0 +1,1 @@
+"""Star catalogues: the bundled one, the official files' readers, and apparent places."""

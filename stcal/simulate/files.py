@@ -1,0 +1,82 @@
+"""The files of a simulation: telemetry as a downlink delivers it, calibrations, and the truth."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from stcal.atomic import write_with
+from stcal.calibration import save
+from stcal.simulate.detector import CENTROID_DECIMALS
+from stcal.simulate.scenario import PARTS
+from stcal.simulate.simulation import SimulatedPart, Simulation
+
+
+def write_simulation(
+    simulation: Simulation, folder: Path, truth_columns: bool = True
+) -> dict[str, Path]:
+    """Write a simulated sensor's files and return their paths by what they hold.
+
+    ``<sensor>.calibration.csv.gz``, ``<sensor>.validation.csv.gz`` and ``<sensor>.initial.json``
+    are what an operator has; ``truth/<sensor>.json`` (the true calibration) and
+    ``truth/<sensor>.truth.npz`` (left out without ``truth_columns``) are for judging.  Equal
+    simulations give equal bytes.
+    """
+    from stcal.telemetry.writer import write_csv
+
+    sensor = simulation.scenario.sensor_id
+    files = {f"{name} telemetry": folder / f"{sensor}.{name}.csv.gz" for name in PARTS}
+    files["initial calibration"] = folder / f"{sensor}.initial.json"
+    files["true calibration"] = folder / "truth" / f"{sensor}.json"
+    first_pixel = simulation.scenario.sensor.detector.first_pixel_centre_px
+    for name in PARTS:
+        frames = getattr(simulation, name).frames
+        write_csv([frames], files[f"{name} telemetry"], CENTROID_DECIMALS, first_pixel)
+    save(simulation.initial, files["initial calibration"])
+    save(simulation.true, files["true calibration"])
+    if truth_columns:
+        files["truth"] = folder / "truth" / f"{sensor}.truth.npz"
+        columns = _truth_columns(simulation)
+        write_with(files["truth"], partial(_save_columns, columns))
+    return files
+
+
+def _save_columns(columns: dict[str, Any], stream: BinaryIO) -> None:
+    np.savez_compressed(stream, allow_pickle=False, **columns)
+
+
+def _truth_columns(simulation: Simulation) -> dict[str, Any]:
+    """Return the columns of both parts, named ``<part>.<column>``."""
+    columns: dict[str, Any] = {}
+    for name in PARTS:
+        part: SimulatedPart = getattr(simulation, name)
+        kept = {key: getattr(part.frames, key) for key in ("frame_id", "t_tai_ns", "star_offsets")}
+        for key, value in (kept | vars(part.truth)).items():
+            columns[f"{name}.{key}"] = value
+    return columns
+
+
+def summary(simulation: Simulation) -> dict[str, Any]:
+    """Return what was made, in numbers, by part."""
+    return {name: _part_summary(getattr(simulation, name)) for name in PARTS}
+
+
+def _part_summary(part: SimulatedPart) -> dict[str, Any]:
+    frames, truth = part.frames, part.truth
+    identified = frames.star_id > 0
+    counted = frames.counts_for_availability
+    return {
+        "frames": frames.n_frames,
+        "flagged_frames": int((~counted).sum()),
+        "stars": frames.n_stars,
+        "stars_per_exposure": round(float(frames.stars_per_exposure.mean()), 3),
+        "false_stars": int((truth.star_id == 0).sum()),
+        "outliers": int(truth.outlier.sum()),
+        "identified_stars": int(identified.sum()),
+        "wrongly_identified_stars": int((identified & (frames.star_id != truth.star_id)).sum()),
+        # Without a frame outside eclipse and intrusion there is no availability.
+        "availability": round(float(frames.has_fix[counted].mean()), 6) if counted.any() else None,
+    }

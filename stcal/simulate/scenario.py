@@ -1,0 +1,270 @@
+"""The scenario of a simulation: what a scenario file may say, and what must hold across it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from stcal.cameras import CAMERAS
+from stcal.config import SensorConfig
+from stcal.simulate.true_camera import cameras_of, is_one_to_one
+from stcal.times import parse_utc
+
+SCHEMA = "stcal.scenario/1"
+PARTS = ("calibration", "validation")
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+Vector = tuple[Finite, Finite, Finite]
+
+
+def _whole_ms(value: float) -> float:
+    if abs(value * 1e3 - round(value * 1e3)) > 1e-6:
+        raise ValueError("not a whole number of milliseconds, which is what telemetry can write")
+    return value
+
+
+Seconds = Annotated[NotNegative, AfterValidator(_whole_ms)]
+Period = Annotated[Positive, AfterValidator(_whole_ms)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
+
+
+class OrbitSection(_Section):
+    """A circular orbit; the node by right ascension or by the mean local time of its ascent."""
+
+    altitude_km: Annotated[float, Field(gt=100, lt=100_000)]
+    inclination_deg: Annotated[float, Field(ge=0, le=180)]
+    raan_deg: Finite | None = None
+    ltan_h: Annotated[float, Field(ge=0, lt=24)] | None = None
+    # Argument of latitude at the scenario's epoch.
+    phase_deg: Finite = 0.0
+
+    @model_validator(mode="after")
+    def _one_node(self) -> OrbitSection:
+        if (self.raan_deg is None) == (self.ltan_h is None):
+            raise ValueError("give exactly one of raan_deg and ltan_h")
+        return self
+
+
+class Mounting(_Section):
+    """How the sensor sits in the spacecraft, and its detector in the sensor."""
+
+    # Direction of S's z axis in B; at roll 0 S's x axis lies towards B's x (y when that is along z)
+    boresight_b: Vector
+    roll_deg: Finite = 0.0
+    # Rotation vectors of c_sd: as stored in the initial calibration, and the unknown change of it.
+    c_sd_rotvec_deg: Vector = (0.0, 0.0, 0.0)
+    c_sd_shift_urad: Vector = (0.0, 0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _direction(self) -> Mounting:
+        if not any(self.boresight_b):
+            raise ValueError("boresight_b is the zero vector")
+        return self
+
+
+class CameraTruth(_Section):
+    """The initial calibration (nominal unless given) and the true camera's departure from it."""
+
+    initial: dict[str, Finite] = {}
+    # In standard deviations of the configuration's camera.scale (Enright 2018 Table III).
+    offset_sigma: dict[str, Finite] = {}
+
+
+class _Motion(_Section):
+    frames: Annotated[int, Field(ge=1)]
+    # Slow wander about the motion: amplitude per axis, and the mean period of its waves.
+    wander_deg: NotNegative = 0.0
+    wander_period_s: Positive = 600.0
+
+
+class NadirPointing(_Motion):
+    """B's z axis to nadir and x along the track, turned by an offset (x, then y, then z)."""
+
+    motion: Literal["nadir-pointing"]
+    offset_deg: Vector = (0.0, 0.0, 0.0)
+
+
+class Slew(_Motion):
+    """Constant rotation about an axis of B; continues the attitude before it unless aimed."""
+
+    motion: Literal["slew"]
+    rate_deg_s: Finite
+    axis_b: Vector
+    # Right ascension, declination and position angle of S at the segment's start.
+    target_deg: Vector | None = None
+
+    @model_validator(mode="after")
+    def _axis(self) -> Slew:
+        if not any(self.axis_b):
+            raise ValueError("axis_b is the zero vector")
+        return self
+
+
+class CoarseHold(_Motion):
+    """An inertial attitude held coarsely: the wander is what the coarse control leaves."""
+
+    motion: Literal["coarse-hold"]
+    target_deg: Vector | None = None
+
+
+Segment = Annotated[NadirPointing | Slew | CoarseHold, Field(discriminator="motion")]
+
+
+class Part(_Section):
+    """One telemetry set: consecutive segments sampled at a constant period."""
+
+    # After the scenario's epoch.
+    start_s: Seconds = 0.0
+    sample_period_s: Period
+    first_frame_id: Annotated[int, Field(ge=0)] = 1
+    segments: Annotated[tuple[Segment, ...], Field(min_length=1)]
+
+    @property
+    def frames(self) -> int:
+        """Number of frames of all segments."""
+        return sum(segment.frames for segment in self.segments)
+
+    @model_validator(mode="after")
+    def _start(self) -> Part:
+        first = self.segments[0]
+        if not isinstance(first, NadirPointing) and first.target_deg is None:
+            raise ValueError("the first segment has no attitude before it and needs target_deg")
+        return self
+
+
+class Detection(_Section):
+    """Which catalogue stars become detections, and what else does."""
+
+    # Detection probability is 1/2 at the limit; logistic roll-off with this width in magnitudes.
+    limiting_magnitude: Finite
+    width_mag: Positive
+    maximum_stars: Annotated[int, Field(ge=1)] = 32
+    missing_probability: Fraction = 0.0
+    false_stars_per_exposure: NotNegative = 0.0
+    outlier_probability: Fraction = 0.0
+    # Gross centroid errors: one sigma per axis.
+    outlier_sd_px: NotNegative = 10.0
+    # Depth of the catalogue from which the sky is made.
+    sky_magnitude: Finite = 8.0
+
+
+class TrueNoise(_Section):
+    """Centroid noise: sqrt(sd_px^2 + reference / intensity * photon_sd_px^2) per axis."""
+
+    sd_px: NotNegative
+    photon_sd_px: NotNegative = 0.0
+    reference_intensity: Positive = 1000.0
+
+
+class Intensity(_Section):
+    """Counts of a star: 10^(0.4 (zero_point_mag - V)), with log-normal scatter."""
+
+    zero_point_mag: Finite = 14.0
+    scatter_mag: NotNegative = 0.1
+
+
+class Visibility(_Section):
+    """When the view is bad: boresight nearer than these, the Earth's counted from its limb."""
+
+    earth_exclusion_deg: NotNegative = 15.0
+    sun_exclusion_deg: NotNegative = 45.0
+    moon_exclusion_deg: NotNegative = 15.0
+    # Such frames, and those in eclipse, are edited out of the telemetry but for this share.
+    keep_flagged: Fraction = 0.0
+    # Stray light lifts the background: loss of limiting magnitude in intrusions.
+    intrusion_loss_mag: NotNegative = 2.0
+
+
+class TelemetrySection(_Section):
+    """What the telemetry carries beside the stars."""
+
+    exposure_separation_s: Positive = 0.1
+    spacecraft_state: bool = True
+    rate_sd_deg_s: NotNegative = 0.02
+    temperature_c: Finite = 20.0
+    temperature_swing_c: NotNegative = 4.0
+
+
+class Scenario(_Section):
+    """One sensor in orbit; ``sensor`` is the loaded sensor configuration."""
+
+    schema_: Literal["stcal.scenario/1"] = Field(alias="schema", default="stcal.scenario/1")
+    sensor_id: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
+    sensor: SensorConfig
+    epoch: str
+    orbit: OrbitSection
+    mounting: Mounting
+    camera: CameraTruth = CameraTruth()
+    calibration: Part
+    validation: Part
+    detection: Detection
+    noise: TrueNoise
+    intensity: Intensity = Intensity()
+    visibility: Visibility = Visibility()
+    telemetry: TelemetrySection = TelemetrySection()
+
+    @property
+    def epoch_tai_ns(self) -> int:
+        """The epoch as TAI ns."""
+        return parse_utc(self.epoch)
+
+    def part(self, name: str) -> Part:
+        """Return the part by its name in PARTS."""
+        return {"calibration": self.calibration, "validation": self.validation}[name]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Scenario:
+        document: dict[str, Any] = {"sensor_id": self.sensor_id, "epoch": self.epoch}
+        document["camera"] = self.camera.model_dump()
+        problems = cross_problems(document, self.sensor)
+        if problems:
+            raise ValueError("; ".join(problems))
+        return self
+
+
+def cross_problems(document: dict[str, Any], sensor: SensorConfig) -> list[str]:
+    """Return what is wrong between the scenario's document and the sensor's configuration."""
+    problems: list[str] = []
+    sensor_id = document.get("sensor_id")
+    if isinstance(sensor_id, str) and not sensor.applies_to(sensor_id):
+        problems.append(f"sensor_id: {sensor_id!r} is none of the sensor's {sensor.sensor_ids}")
+    epoch = document.get("epoch")
+    if isinstance(epoch, str):
+        try:
+            parse_utc(epoch)
+        except ValueError as error:
+            problems.append(f"epoch: {error}")
+    camera = document.get("camera", {})
+    names = CAMERAS[sensor.camera.model].parameter_names
+    before = len(problems)
+    for key in ("initial", "offset_sigma"):
+        given = camera.get(key, {}) if isinstance(camera, dict) else {}
+        if isinstance(given, dict):
+            problems += [
+                f"camera.{key}.{name}: not a parameter of {sensor.camera.model}"
+                for name in given
+                if name not in names
+            ]
+    if len(problems) == before:
+        problems += _camera_problems(camera, sensor)
+    return problems
+
+
+def _camera_problems(camera: Any, sensor: SensorConfig) -> list[str]:
+    try:
+        truth = CameraTruth.model_validate(camera)
+    except ValidationError:
+        return []  # told by the model's own validation
+    initial, true = cameras_of(truth.initial, truth.offset_sigma, sensor)
+    return [
+        f"camera: the {name} camera's map is not one-to-one over the detector"
+        for name, one in (("initial", initial), ("true", true))
+        if not is_one_to_one(one)
+    ]

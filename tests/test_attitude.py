@@ -1,0 +1,113 @@
+import numpy as np
+import pytest
+from conftest import simulation, st16_matcher
+from scipy.spatial.transform import Rotation
+
+from stcal.attitude import (
+    attitude_covariance,
+    attitudes_from_quaternions,
+    better_exposure,
+    frame_quaternions,
+    mean_rotation,
+    solve_wahba,
+)
+from stcal.matching import match
+
+
+def field(rng, count, width=0.15):
+    """Unit vectors around the boresight."""
+    v = np.column_stack([rng.uniform(-width, width, (count, 2)), np.ones(count)])
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
+
+
+def test_wahba_agrees_with_scipy_exposure_by_exposure():
+    rng = np.random.default_rng(2)
+    counts = np.array([5, 2, 30, 0, 7])
+    exposure = np.repeat(np.arange(5), counts)
+    truth = Rotation.random(5, rng=rng)
+    s_d = field(rng, counts.sum())
+    s_i = truth[exposure].inv().apply(s_d) + rng.normal(0, 1e-4, s_d.shape)
+    s_i /= np.linalg.norm(s_i, axis=1, keepdims=True)
+    weight = rng.uniform(0.5, 2.0, len(s_d))
+    found = solve_wahba(s_d, s_i, weight, exposure, 5)
+    for e in (0, 1, 2, 4):
+        mine = exposure == e
+        peer, _ = Rotation.align_vectors(s_d[mine], s_i[mine], weights=weight[mine])
+        np.testing.assert_allclose(found[e], peer.as_matrix(), atol=1e-9)
+    assert np.isnan(found[3]).all()
+
+
+def test_wahba_returns_proper_rotations_for_two_stars():
+    rng = np.random.default_rng(3)
+    s_d = field(rng, 40)
+    exposure = np.repeat(np.arange(20), 2)
+    s_i = Rotation.random(20, rng=rng)[exposure].inv().apply(s_d)
+    found = solve_wahba(s_d, s_i, np.ones(40), exposure, 20)
+    np.testing.assert_allclose(np.linalg.det(found), 1.0, atol=1e-12)
+
+
+def test_covariance_matches_monte_carlo():
+    rng = np.random.default_rng(4)
+    s_d, sd, runs = field(rng, 8), np.full(8, 1e-4), 4000
+    exposure = np.repeat(np.arange(runs), 8)
+    many = np.tile(s_d, (runs, 1))
+    noisy = many + rng.normal(0, 1e-4, many.shape)
+    noisy /= np.linalg.norm(noisy, axis=1, keepdims=True)
+    found = solve_wahba(noisy, many, np.ones(len(many)), exposure, runs)
+    error = Rotation.from_matrix(found).as_rotvec()
+    predicted = attitude_covariance(s_d, sd, np.zeros(8, int), 1)[0]
+    np.testing.assert_allclose(np.cov(error.T), predicted, rtol=0.1, atol=3e-10)
+    assert error.mean(axis=0) == pytest.approx(0, abs=5e-6)
+
+
+def test_quaternion_convention_is_scipys():
+    """A(q) takes I to S, so that Rotation.from_quat(q).apply(v_S) == v_I."""
+    data = simulation(5, 1, 30)
+    c_sd = Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix()
+    matched = match(data.calibration.frames, data.true.camera, c_sd, st16_matcher())
+    q_si, best = frame_quaternions(matched, c_sd)
+    frame = int(np.flatnonzero(best >= 0)[0])
+    star = matched.is_matched & (matched.frames.exposure_of_star == 2 * frame + best[frame])
+    s_d = data.true.camera.directions(matched.frames.row_px[star], matched.frames.col_px[star])
+    turned = Rotation.from_quat(q_si[frame]).apply(s_d @ c_sd.T)
+    np.testing.assert_allclose(turned, matched.s_i[star], atol=5e-4)
+    back = attitudes_from_quaternions(q_si, c_sd)
+    np.testing.assert_allclose(back[frame], matched.c_di[2 * frame + best[frame]], atol=1e-12)
+    assert np.isnan(back[best < 0]).all()
+
+
+def test_better_exposure_prefers_matches_then_residuals():
+    data = simulation(5, 1, 30)
+    matched = match(data.calibration.frames, data.true.camera, np.eye(3), st16_matcher())
+    best = better_exposure(matched)
+    counts = np.where(matched.solved, matched.matches_per_exposure, 0).reshape(-1, 2)
+    chosen = best >= 0
+    assert (counts[chosen, best[chosen]] == counts[chosen].max(axis=1)).all()
+    assert (best[counts.max(axis=1) == 0] == -1).all()
+    square = np.bincount(
+        matched.frames.exposure_of_star,
+        np.nan_to_num(matched.residual) ** 2,
+        minlength=2 * len(best),
+    ).reshape(-1, 2)
+    tied = chosen & (counts[:, 0] == counts[:, 1])
+    assert tied.any()
+    assert (square[tied, best[tied]] <= square[tied, 1 - best[tied]]).all()
+
+
+def test_mean_rotation_survives_one_false_solution_of_140_degrees():
+    rng = np.random.default_rng(5)
+    truth = Rotation.from_rotvec([0.01, -0.02, 0.03])
+    good = truth * Rotation.from_rotvec(rng.normal(0, 2e-4, (100, 3)))
+    false = Rotation.from_rotvec(np.radians(140) * np.array([0.6, 0.8, 0.0])) * truth
+    mean = mean_rotation(np.concatenate([good.as_matrix(), false.as_matrix()[None]]))
+    off = (Rotation.from_matrix(mean.c) * truth.inv()).magnitude()
+    assert off < 8e-5  # four sd of the mean
+    assert not mean.kept[-1]
+    assert mean.kept[:-1].sum() >= 99
+    np.testing.assert_allclose(mean.spread, 2e-4, rtol=0.25)
+    plain = Rotation.concatenate([good, false]).mean()
+    assert (plain * truth.inv()).magnitude() > 10 * off
+
+
+def test_mean_rotation_of_nothing_is_none():
+    assert mean_rotation(np.empty((0, 3, 3))) is None
