@@ -23,6 +23,7 @@ PixelGuess = Callable[[Floats, float, Floats], tuple[Floats, Floats]]
 
 _INVERSE_TOLERANCE_PX = 1e-11
 _INVERSE_ITERATIONS = 50
+_SLOPE_STEP_RAD = 1e-4
 
 
 @dataclass(frozen=True)
@@ -91,6 +92,25 @@ class Camera:
         """
         by_pixel = self.jacobian(m, n)[2]
         return np.asarray(np.sqrt(0.5 * np.einsum("sij,sij->s", by_pixel, by_pixel)))
+
+    def noise_scale_slopes(self, m: Floats, n: Floats) -> Floats:
+        """Return (S, P) derivatives of log(noise_scale) by the parameters.
+
+        Central differences over steps that move directions by some 0.1 mrad; the scale is so
+        smooth that this is good to a part in a thousand.
+        """
+        moved = np.sqrt((self.jacobian(m, n)[1] ** 2).sum(axis=1).mean(axis=0))
+        slopes = np.zeros((len(m), len(moved)))
+        for p in np.flatnonzero(moved > 0):
+            step = _SLOPE_STEP_RAD / moved[p]
+            offset = np.zeros(len(moved))
+            offset[p] = step
+            up, down = (
+                self.with_parameters(self.parameters + sign * offset).noise_scale(m, n)
+                for sign in (1.0, -1.0)
+            )
+            slopes[:, p] = np.log(up / down) / (2.0 * step)
+        return slopes
 
     def project(self, s_d: Floats) -> tuple[Floats, Floats]:
         """Return centroids (m, n) in pixels of directions s_d (S, 3): the exact inverse map.

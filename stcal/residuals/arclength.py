@@ -25,6 +25,8 @@ class BoundArclength:
     arc : (A,) rad, separation by the catalogue, eq (10)
     lower : (A, 5) banded Cholesky factor of R
     starts : (A,) first row of the arc's exposure
+    reference : (P,) parameters at which R was made
+    slope : (A, P) derivative of the logarithm of each arc's sd by the parameters
     dependent : number of arcs that carried nothing new and were dropped
     """
 
@@ -34,6 +36,8 @@ class BoundArclength:
     arc: Floats
     lower: Floats
     starts: Ints
+    reference: Floats
+    slope: Floats
     dependent: int
 
     @property
@@ -42,12 +46,22 @@ class BoundArclength:
         return len(self.pair_i) - self.dependent
 
     def linearise(self, camera: Camera) -> Floats:
-        """Return whitened rows [H | residual] (A, P + 1), parameters in their own units."""
+        """Return whitened rows [H | residual] (A, P + 1), parameters in their own units.
+
+        The centroid noise is constant in pixels, so in rad it falls as the focal length grows.
+        With R held fixed the fit would pay for noise with a longer focal length (half an sd for
+        400 frames, and more with more frames); so residuals are divided by how their sd changes
+        with the parameters, and that division is differentiated too.
+        """
         from stcal.residuals.arclength_kernels import whiten
 
         s_d, by_parameter, _ = camera.jacobian(self.selection.row_px, self.selection.col_px)
         out = np.empty((len(self.pair_i), by_parameter.shape[2] + 1))
-        whiten(self.pair_i, self.pair_j, self.lower, self.starts, self.arc, s_d, by_parameter, out)
+        scale = np.exp(self.slope @ (camera.parameters - self.reference))
+        whiten(
+            self.pair_i, self.pair_j, self.lower, self.starts, self.arc, scale, self.slope,
+            s_d, by_parameter, out,
+        )  # fmt: skip
         return out
 
     def departures(self, camera: Camera) -> Floats:
@@ -66,7 +80,7 @@ def separations(a: Floats, b: Floats) -> Floats:
 def bind_arclength(selection: StarSelection, camera: Camera) -> BoundArclength:
     """Choose the 2 N - 3 arcs of each exposure and factor their covariance.
 
-    The noise in rad is that of the camera given; it hardly depends on the parameters.
+    The noise in rad is that of the camera given, and how it changes with the parameters.
     """
     from stcal.residuals.arclength_kernels import BAND, factor, order_stars
 
@@ -80,4 +94,17 @@ def bind_arclength(selection: StarSelection, camera: Camera) -> BoundArclength:
     dependent = factor(selection.offsets, selection.s_i, order, sd, pair_i, pair_j, lower)
     starts = np.repeat(np.cumsum(arcs) - arcs, arcs)
     arc = separations(selection.s_i[pair_i], selection.s_i[pair_j])
-    return BoundArclength(selection, pair_i, pair_j, arc, lower, starts, int(dependent))
+    slope = _arc_slopes(selection, camera, sd, pair_i, pair_j)
+    return BoundArclength(
+        selection, pair_i, pair_j, arc, lower, starts, camera.parameters, slope, int(dependent)
+    )
+
+
+def _arc_slopes(
+    selection: StarSelection, camera: Camera, sd: Floats, pair_i: Ints, pair_j: Ints
+) -> Floats:
+    """Return (A, P): the arc's log-sd slope is the mean of its stars', weighted by variance."""
+    slopes = camera.noise_scale_slopes(selection.row_px, selection.col_px)
+    variance = sd * sd
+    weight = (variance[pair_i] / (variance[pair_i] + variance[pair_j]))[:, None]
+    return np.asarray(weight * slopes[pair_i] + (1.0 - weight) * slopes[pair_j])

@@ -166,11 +166,12 @@ def _cholesky_row(lower, row, start):
 
 
 @njit(cache=True, nogil=True)
-def whiten(pair_i, pair_j, lower, starts, arc_true, s_d, by_parameter, out):
+def whiten(pair_i, pair_j, lower, starts, arc_true, scale, slope, s_d, by_parameter, out):
     """Fill ``out`` (A, P + 1) with the whitened rows [H' | residual] at a camera.
 
-    Residuals are eq (12), rows of H eq (38) with the terms crossed; then the triangular systems
-    (81)-(82), row by row within the band.
+    Residuals are eq (12), rows of H eq (38) with the terms crossed, both over the noise ``scale``
+    (A,) with its logarithmic derivatives ``slope`` (A, P); then the triangular systems (81)-(82),
+    row by row within the band.
     """
     parameters = by_parameter.shape[2]
     for row in range(pair_i.shape[0]):
@@ -182,8 +183,8 @@ def whiten(pair_i, pair_j, lower, starts, arc_true, s_d, by_parameter, out):
             value = 0.0
             for a in range(3):
                 value += by_parameter[j, a, p] * s_d[i, a] + by_parameter[i, a, p] * s_d[j, a]
-            out[row, p] = -value / sine
-        out[row, parameters] = arc - arc_true[row]
+            out[row, p] = (-value / sine - (arc - arc_true[row]) * slope[row, p]) / scale[row]
+        out[row, parameters] = (arc - arc_true[row]) / scale[row]
         for k in range(max(starts[row], row - BAND), row):
             weight = lower[row, BAND - (row - k)]
             if weight != 0.0:

@@ -2,7 +2,9 @@ import numpy as np
 import pytest
 from conftest import simulation, st16_config, st16_matcher
 
+from stcal.execution import serial
 from stcal.matching import match
+from stcal.pipeline.cycles import solve
 from stcal.residuals import RESIDUALS, select_stars
 from stcal.residuals.arclength import bind_arclength, separations
 from stcal.residuals.arclength_kernels import flatness
@@ -75,7 +77,7 @@ def test_no_three_stars_in_sequence_are_collinear(bound):
 
 def test_whitening_is_the_inverse_cholesky_factor_of_r(bound, data):
     camera = data.initial.camera
-    R = dense_covariance(bound, camera if False else data.true.camera)
+    R = dense_covariance(bound, data.true.camera)
     keep = np.isfinite(bound.lower[:, -1])
     root = np.linalg.cholesky(R[np.ix_(keep, keep)])
     s, by_parameter, _ = camera.jacobian(bound.selection.row_px, bound.selection.col_px)
@@ -88,7 +90,9 @@ def test_whitening_is_the_inverse_cholesky_factor_of_r(bound, data):
         )
         / sine[:, None]
     )
-    rows = np.column_stack([H, bound.departures(camera)])[keep]
+    e = bound.departures(camera)[:, None]
+    scale = np.exp(bound.slope @ (camera.parameters - bound.reference))[:, None]
+    rows = (np.column_stack([H - e * bound.slope, e]) / scale)[keep]
     expected = np.linalg.solve(root, rows)
     found = bound.linearise(camera)[keep]
     scale = np.abs(expected).max(axis=0)
@@ -170,3 +174,48 @@ def test_collinear_stars_lose_only_the_dependent_arc():
 
 def test_the_table_names_the_residual():
     assert RESIDUALS["arclength"] is bind_arclength
+
+
+def test_the_noise_in_rad_follows_the_camera(bound, data):
+    """The scale at another camera is what binding there would give."""
+    true, initial = data.true.camera.parameters, data.initial.camera.parameters
+    other = data.true.camera.with_parameters(true + 0.2 * (initial - true))
+    again = bind_arclength(bound.selection, other)
+    i, j = bound.pair_i, bound.pair_j
+    sel = bound.selection
+
+    def sd(camera):
+        star = sel.sd_px * camera.noise_scale(sel.row_px, sel.col_px)
+        return np.hypot(star[i], star[j])
+
+    scale = np.exp(bound.slope @ (other.parameters - bound.reference))
+    np.testing.assert_allclose(scale, sd(other) / sd(data.true.camera), rtol=1e-3)
+    assert np.ptp(scale) > 2e-3
+    np.testing.assert_allclose(again.reference, other.parameters)
+
+
+def test_noise_does_not_stretch_the_focal_length():
+    """Many exposures with large noise: with R held fixed, f would grow by several sd."""
+    data = simulation(2, 61, 600)
+    part = data.calibration
+    rng = np.random.default_rng(3)
+    matched = match(part.frames, data.true.camera, np.eye(3), st16_matcher())
+    selection = select_stars(matched, st16_config().noise, 4)
+    exact = np.einsum(
+        "kij,kj->ki", matched.c_di[part.frames.exposure_of_star[selection.star]], selection.s_i
+    )
+    m, n = data.true.camera.project(exact)
+    scores = []
+    for _ in range(12):
+        noisy = StarSelection(
+            selection.star, selection.exposure,
+            m + rng.normal(0, 1.0, len(m)), n + rng.normal(0, 1.0, len(n)),
+            selection.s_i, np.ones(len(m)), selection.n_exposures,
+        )  # fmt: skip
+        found = solve([bind_arclength(noisy, data.true.camera)], data.true.camera, SIGMA, serial)
+        root = found.information.root
+        sd = np.sqrt(np.diag(np.linalg.inv(root.T @ root)))
+        scores.append((found.parameters - data.true.camera.parameters) / SIGMA / sd)
+    mean = np.mean(scores, axis=0)
+    assert np.abs(mean).max() < 3.5 / np.sqrt(12)
+    assert np.sqrt(np.mean(np.square(scores))) == pytest.approx(1.0, abs=0.25)

@@ -1,0 +1,49 @@
+# `make run` and `make test` need Python 3.11 or later and make; they set up the rest in .venv.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+RUN := run
+SENSORS := 1 2 3 4 5 6
+
+.PHONY: run test check bench study sample clean
+
+# The stamp is newer than pyproject.toml when the environment is up to date.
+$(VENV)/.installed: pyproject.toml
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@
+
+$(VENV)/.bench: $(VENV)/.installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,bench]'
+	@touch $@
+
+# Six simulated sensors: telemetry -> store -> fit -> validation -> upload file and report.
+run: $(VENV)/.installed
+	@BIN=$(BIN) RUN=$(RUN) SENSORS='$(SENSORS)' sh tools/run_sample.sh
+
+test: $(VENV)/.installed
+	$(BIN)/python -m pytest -n auto --dist worksteal
+
+check: $(VENV)/.installed
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/python -m pytest -n auto --dist worksteal
+
+bench: $(VENV)/.bench
+	@mkdir -p bench
+	$(BIN)/python benchmarks/identification.py --json bench/identification.json
+	$(BIN)/python benchmarks/batch_fit.py --json bench/batch_fit.json
+
+study: $(VENV)/.installed
+	$(BIN)/python benchmarks/study.py --runs 50 --json study/study.json
+
+# Remake the simulated telemetry that is shipped.
+sample: $(VENV)/.installed
+	@for n in $(SENSORS); do \
+	  $(BIN)/stcal simulate configs/scenarios/st16-$$n.toml --out sample_telemetry --seed 1 \
+	    --no-truth-columns || exit $$?; done
+
+clean:
+	rm -rf $(RUN) bench study build .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -not -path './$(VENV)/*' -prune -exec rm -rf {} +

@@ -1,0 +1,75 @@
+import numpy as np
+import pytest
+from conftest import simulation, st16_matcher
+
+from stcal.pipeline.validate import compare, validate
+
+HASHES = {"baseline": "b" * 64, "candidate": "c" * 64, "telemetry_sha256": "d" * 64}
+
+
+@pytest.fixture(scope="module")
+def data():
+    return simulation(4, 61, 100)
+
+
+def test_the_truth_beats_the_initial_calibration(data):
+    frames = data.validation.frames
+    document = validate([frames], data.initial, data.true, st16_matcher(), HASHES)
+    assert document["verdict"]["accepted"]
+    assert document["availability"]["candidate"] >= document["availability"]["baseline"]
+    assert document["matched_star_ratio"] > 1.2
+    rms = document["common_pair_rms_urad"]
+    assert rms["candidate"] < 0.3 * rms["baseline"]
+    assert document["pairs_from"] == "candidate"
+    assert document["frames"] == frames.n_frames
+    assert document["counted_frames"] == int(frames.counts_for_availability.sum())
+    low, high = rms["interval"]["candidate"]
+    assert low < rms["candidate"] < high
+
+
+def test_a_worse_candidate_is_refused(data):
+    document = validate([data.validation.frames], data.true, data.initial, st16_matcher(), HASHES)
+    assert not document["verdict"]["accepted"]
+    text = " ".join(document["verdict"]["reasons"])
+    assert "matched stars worse" in text
+    assert "common-pair mean square worse" in text
+    assert document["pairs_from"] == "baseline"
+
+
+def test_equal_calibrations_compare_equal(data):
+    document = validate([data.validation.frames], data.true, data.true, st16_matcher(), HASHES)
+    assert document["matched_star_ratio"] == 1.0
+    assert document["rms_ratio"] == 1.0
+    assert document["verdict"] == {"accepted": True, "reasons": [], "notes": []}
+    assert np.abs(document["attitude_offset_arcsec"]).max() < 1e-3
+
+
+def test_availability_counts_frames_outside_eclipse_and_intrusion(data):
+    frames = data.validation.frames
+    compared = compare([frames], data.initial, data.true, st16_matcher())
+    document = validate([frames], data.initial, data.true, st16_matcher(), HASHES)
+    counted = frames.counts_for_availability
+    for k, name in enumerate(("baseline", "candidate")):
+        expected = compared.matched[k][0].frame_solved[counted].mean()
+        assert document["availability"][name] == pytest.approx(expected)
+        stars = compared.matched[k][0].matches_per_exposure.reshape(-1, 2).sum(axis=1)
+        assert document["matched_stars"][name] == stars[counted].sum()
+
+
+def test_the_common_pairs_are_the_larger_set_under_both_cameras(data):
+    frames = data.validation.frames
+    compared = compare([frames], data.initial, data.true, st16_matcher())
+    assert (compared.sums[0].pairs == compared.sums[1].pairs).all()
+    assert compared.sums[0].pairs.sum() == sum(len(b.arc) for b in compared.bound)
+
+
+def test_parts_give_the_same_figures_as_the_whole(data):
+    frames = data.validation.frames
+    whole = validate([frames], data.initial, data.true, st16_matcher(), HASHES)
+    parts = [frames.take(np.arange(0, 20)), frames.take(np.arange(20, frames.n_frames))]
+    split = validate(parts, data.initial, data.true, st16_matcher(), HASHES)
+    for key in ("availability", "matched_stars", "matched_star_ratio", "pairs"):
+        assert whole[key] == split[key]
+    assert whole["common_pair_rms_urad"]["candidate"] == pytest.approx(
+        split["common_pair_rms_urad"]["candidate"], rel=1e-12
+    )
