@@ -89,9 +89,7 @@ def six_sensors(seed: int, matcher: Matcher) -> list[dict]:
         frames, fitted = data.validation.frames, result.calibration
         change = compare([frames], data.initial, fitted, matcher)
         truth = compare([frames], data.true, fitted, matcher)
-        turn = attitude_change(
-            change.matched[0], data.initial.c_sd, change.matched[1], fitted.c_sd
-        )
+        turn = attitude_change(change.matched[0], data.initial.c_sd, change.matched[1], fitted.c_sd)
         from stcal.geometry.rotations import vector_from_matrix
 
         offset = np.abs(vector_from_matrix(turn.c[None])[0] / turn.spread).max()
@@ -168,9 +166,7 @@ def main() -> None:
     matcher = make_matcher()
     document = {"six_sensors": six_sensors(arguments.seed, matcher), "consistency": []}
     for number in (2, 4, 5):
-        document["consistency"].append(
-            consistency(number, arguments.runs, arguments.seed, matcher)
-        )
+        document["consistency"].append(consistency(number, arguments.runs, arguments.seed, matcher))
     if arguments.json:
         arguments.json.parent.mkdir(parents=True, exist_ok=True)
         arguments.json.write_text(json.dumps(document, indent=1))

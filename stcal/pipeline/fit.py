@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stcal.calibration import Calibration
+from stcal.cameras import Camera
 from stcal.config import SensorConfig
 from stcal.constants import ARCSEC, EXPOSURES_PER_FRAME
 from stcal.errors import GateRefusalError, InputError
@@ -17,6 +19,7 @@ from stcal.estimators.batch import Observability, covariance_from, observability
 from stcal.execution import OrderedMap, serial
 from stcal.frames import FrameBatch, MatchedFrames
 from stcal.matching import Matcher, match
+from stcal.matching.identify import rematch_given
 from stcal.metrics import coverage, pair_sums
 from stcal.pipeline import describe
 from stcal.pipeline.alignment import Alignment, update_alignment
@@ -128,6 +131,9 @@ def estimate_camera(
     scale = parameter_scale(matcher.config, last.camera.parameter_names)
     observed = observability(last.solution.information, scale)
     baseline = _baseline(batches, initial, matcher, cycles[0], mapper)
+    # The last matches were made with the camera before; their attitudes under the fitted one.
+    resolve = partial(_solve_again, camera=last.camera, matcher=matcher)
+    fitted = list(mapper(resolve, last.matched))
     before, after = _common_rms(last, initial)
     rows, cols = _used_centroids(last)
     return Estimate(
@@ -135,7 +141,7 @@ def estimate_camera(
         settled=settled,
         covariance=_covariance(last, scale),
         observed=observed,
-        alignment=update_alignment(initial.c_sd, _attitudes(baseline), _attitudes(last.matched)),
+        alignment=update_alignment(initial.c_sd, _attitudes(baseline), _attitudes(fitted)),
         baseline=baseline,
         coverage=coverage(rows, cols, last.camera),
         rms_initial=before,
@@ -193,6 +199,10 @@ def _baseline(
     if first.matching != "telemetry":
         return first.matched
     return list(mapper(lambda b: match(b, initial.camera, initial.c_sd, matcher), batches))
+
+
+def _solve_again(matched: MatchedFrames, camera: Camera, matcher: Matcher) -> MatchedFrames:
+    return rematch_given(matched.frames, camera, matcher.catalogue, matched.star)
 
 
 def _attitudes(matched: Sequence[MatchedFrames]) -> Floats:

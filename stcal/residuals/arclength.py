@@ -49,9 +49,9 @@ class BoundArclength:
         """Return whitened rows [H | residual] (A, P + 1), parameters in their own units.
 
         The centroid noise is constant in pixels, so in rad it falls as the focal length grows.
-        With R held fixed the fit would pay for noise with a longer focal length (half an sd for
-        400 frames, and more with more frames); so residuals are divided by how their sd changes
-        with the parameters, and that division is differentiated too.
+        With R held fixed the fit would pay for noise with a longer focal length: a bias that grows
+        with the noise and, in sd, with the square root of the number of frames.  So residuals are
+        divided by how their sd changes with the parameters, and that division is differentiated.
         """
         from stcal.residuals.arclength_kernels import whiten
 

@@ -138,6 +138,18 @@ def test_c_sd_nulls_the_attitude_offset_of_a_principal_point_moved_by_290_px():
     assert np.linalg.norm(left) < 0.01 * offset
 
 
+@pytest.mark.parametrize("number", [5, 6])
+def test_c_sd_is_made_with_the_fitted_camera_itself(number):
+    """m0 and a2, n0 and a1 trade freely here: the last step alone turns D by many arcsec."""
+    data = simulation(number, 58, 300)
+    result = fit(data)
+    document = validate(
+        [data.calibration.frames], data.initial, result.calibration, st16_matcher(), HASHES
+    )
+    left = np.array(document["attitude_offset_arcsec"])
+    assert (np.abs(left) < 0.1 * np.array(document["attitude_spread_arcsec"])).all()
+
+
 def refusals(result):
     assert not result.accepted
     assert result.calibration is None

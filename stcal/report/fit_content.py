@@ -1,0 +1,180 @@
+"""What the report of a fit says, as tables of text."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from stcal.report.content import (
+    Table,
+    field_rms,
+    origin,
+    quotient,
+    ratio_of,
+    spread_of,
+)
+from stcal.report.document import (
+    Document,
+    flags,
+    matrix,
+    number,
+    numbers,
+    section,
+    sections,
+    text,
+)
+from stcal.report.format import (
+    NOT_AVAILABLE,
+    count,
+    fixed,
+    measured,
+    percent,
+    rms,
+    significant,
+    spread,
+    vector,
+    words,
+    yes_no,
+)
+from stcal.units import unit_of
+
+
+def fit_summary(document: Document) -> Table:
+    """Before and after the fit, on the calibration data."""
+    errors, series = section(document, "rms_urad"), section(document, "series")
+    before, after = number(errors.get("initial")), number(errors.get("fitted"))
+    rows = [("Common-pair RMS [µrad]", rms(before), rms(after), ratio_of(before, after))]
+    shares = [_share(series.get(f"fix_{which}")) for which in ("initial", "fitted")]
+    rows.append(("Frames with a fix", percent(shares[0]), percent(shares[1]), ratio_of(*shares)))
+    stars = [_mean(series.get(f"matched_{which}")) for which in ("initial", "fitted")]
+    rows.append(("Matched stars per frame", fixed(stars[0]), fixed(stars[1]), ratio_of(*stars)))
+    fields = [field_rms(document, which) for which in ("before", "after")]
+    rows.append(
+        (
+            "Mean residual field, RMS [px]",
+            fixed(fields[0], 3),
+            fixed(fields[1], 3),
+            ratio_of(*fields),
+        )
+    )
+    header = ("On the calibration data", "Initial", "Fitted", "Fitted / initial")
+    note = "Fixes and stars: over the frames of the time series below, both exposures together."
+    return Table("Before and after", header, tuple(rows), note)
+
+
+def fit_facts(document: Document) -> Table:
+    """What was fitted, with what."""
+    noise, span = section(document, "noise"), section(document, "span")
+    rows = (
+        ("Sensor", words(document.get("sensor_id"))),
+        ("Method", " / ".join(words(document.get(key)) for key in ("method", "residual"))),
+        ("Matches of the first cycle", words(document.get("matches"))),
+        ("Time span", f"{words(span.get('from'))} to {words(span.get('to'))}"),
+        ("Frames", count(document.get("frames"))),
+        ("Exposures used", count(document.get("exposures_used"))),
+        ("Stars used", count(document.get("stars_used"))),
+        ("Arclengths", count(document.get("arcs"))),
+        ("Detector coverage", percent(document.get("coverage"))),
+        ("Matched set settled", yes_no(document.get("settled"))),
+        ("Centroid noise, sd", fixed(noise.get("sd_px"), 3, "px")),
+        ("Noise found / assumed", fixed(noise.get("scale"), 3)),
+        *origin(document),
+    )
+    return Table("The fit", ("", ""), rows, numeric=False)
+
+
+def cycle_table(document: Document) -> Table:
+    """One row per cycle of rematching."""
+    header = ("Cycle", "Matching", "Frames solved", "Exposures solved", "Matched stars",
+              "Matches changed", "Iterations", "RMS [µrad]", "chi² / dof", "Noise scale",
+              "Stars rejected", "Largest change [sd]")  # fmt: skip
+    rows = tuple(
+        (
+            count(cycle.get("cycle")),
+            words(cycle.get("matching")),
+            *(count(cycle.get(key)) for key in ("frames_solved", "exposures_solved",
+              "matched_stars", "matches_changed", "iterations")),
+            rms(cycle.get("rms_urad")),
+            fixed(quotient(cycle.get("chi2"), cycle.get("dof")), 3),
+            fixed(cycle.get("noise_scale"), 3),
+            count(cycle.get("stars_rejected")),
+            significant(cycle.get("change_sd"), 2),
+        )
+        for cycle in sections(document.get("cycles"))
+    )  # fmt: skip
+    return Table("Cycles", header, rows)
+
+
+def parameter_table(document: Document) -> Table:
+    """Parameters in readable units with sd and change."""
+    header = ("Parameter", "Initial", "Fitted", "sd", "Change", "Change [sigma]",
+              "Change [sd]")  # fmt: skip
+    note = (
+        "sigma: spread of the parameter from unit to unit (sensor configuration, as in Enright "
+        "2018 Table II). sd: one-sigma uncertainty of the fit."
+    )
+    rows = tuple(_parameter_row(item) for item in sections(document.get("parameters")))
+    return Table("Parameters", header, rows, note)
+
+
+def observability_table(document: Document) -> Table:
+    """Condition and the sentence on what the data hardly show."""
+    condition = section(document, "condition")
+    rows = (
+        ("Observability", words(document.get("observability"))),
+        ("Condition number, parameters in SI units", significant(condition.get("raw"), 3)),
+        ("Condition number, scaled parameters", significant(condition.get("scaled"), 4)),
+    )
+    return Table("Observability", ("", ""), rows, numeric=False)
+
+
+def c_sd_table(document: Document) -> Table:
+    """The alignment update."""
+    update = section(document, "c_sd")
+    lines = matrix(update.get("matrix"), 3)
+    listed: tuple[tuple[str, str], ...] = (("C_SD", NOT_AVAILABLE),)
+    if lines is not None:
+        listed = tuple(
+            (f"C_SD row {axis}", vector(line.tolist(), 9))
+            for axis, line in zip("xyz", lines, strict=False)
+        )
+    rows = (
+        ("Offset removed, x y z", vector(update.get("offset_arcsec"), 2, "arcsec")),
+        ("Spread over exposures, x y z", spread_of(update.get("spread_arcsec"), 2)),
+        ("sd of the mean", spread_of(update.get("sd_of_mean_arcsec"), 3)),
+        ("Exposures used", count(update.get("exposures_used"))),
+        ("Exposures rejected as wrongly solved", count(update.get("exposures_rejected"))),
+        *listed,
+    )
+    return Table("Alignment update (C_SD)", ("", ""), rows, numeric=False)
+
+
+def _parameter_row(item: Document) -> tuple[str, ...]:
+    unit = unit_of(text(item.get("name")))
+    keys = ("initial", "fitted", "sd", "change")
+    initial, fitted, sd, change = (_in_unit(item.get(key), unit.size) for key in keys)
+    return (
+        unit.label,
+        measured(initial, sd),
+        measured(fitted, sd),
+        spread(sd),
+        measured(change, sd, signed=True),
+        fixed(item.get("change_sigma"), 2, signed=True),
+        fixed(item.get("change_sd"), 1, signed=True),
+    )
+
+
+def _in_unit(value: Any, size: float) -> float | None:
+    found = number(value)
+    return None if found is None else found / size
+
+
+def _share(value: Any) -> float | None:
+    found = flags(value)
+    return float(found.mean()) if len(found) else None
+
+
+def _mean(value: Any) -> float | None:
+    found = numbers(value)
+    return float(np.nanmean(found)) if np.isfinite(found).any() else None

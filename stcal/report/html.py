@@ -1,0 +1,229 @@
+"""One self-contained HTML file per fit, validation, or both: verdict first.
+
+Everything that comes from a document is escaped; the figures are inline SVG; nothing is loaded
+from outside and no script is needed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from stcal.atomic import write_text
+from stcal.errors import InputError
+from stcal.report import content, figures, fit_content, fit_figures
+from stcal.report.content import Table, Verdict
+from stcal.report.document import (
+    FIT_SCHEMA,
+    VALIDATION_SCHEMA,
+    Document,
+    numbers,
+    section,
+    text,
+)
+
+if TYPE_CHECKING:
+    from jinja2 import Template
+
+_TEMPLATES = Path(__file__).parent / "templates"
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Figures side by side with a caption; None is a figure without data.
+
+    Without a title it belongs to the table above it.
+    """
+
+    title: str
+    caption: str
+    svgs: tuple[str | None, ...]
+
+
+@dataclass(frozen=True)
+class Part:
+    """One document laid out: tables and pictures in reading order."""
+
+    title: str
+    items: tuple[Table | Picture, ...]
+
+
+def render_fit(document: Document) -> str:
+    """Return the HTML report of a fit (schema ``stcal.fit/1``)."""
+    return _page(
+        _heading("Recalibration", document), [_fit_verdict(document)], [_fit_part(document)]
+    )
+
+
+def render_validation(document: Document) -> str:
+    """Return the HTML report of a validation (schema ``stcal.validation/1``)."""
+    verdicts, parts = [_validation_verdict(document)], [_validation_part(document)]
+    return _page(_heading("Validation", document), verdicts, parts)
+
+
+def render_recalibration(fit: Document, validation: Document) -> str:
+    """Return one HTML report of a fit and of its validation, both verdicts first.
+
+    Raises
+    ------
+    InputError
+        When the two belong to different sensors.
+    """
+    names = [text(document.get("sensor_id")) for document in (fit, validation)]
+    if names[0] != names[1]:
+        raise InputError(f"the fit is of sensor {names[0]!r}, the validation of {names[1]!r}")
+    verdicts = [_validation_verdict(validation), _fit_verdict(fit)]
+    parts = [_validation_part(validation), _fit_part(fit)]
+    return _page(_heading("Recalibration and validation", fit), verdicts, parts)
+
+
+RENDERERS: dict[str, Callable[[Document], str]] = {
+    FIT_SCHEMA: render_fit,
+    VALIDATION_SCHEMA: render_validation,
+}
+
+
+def write_report(document: Document, path: Path) -> None:
+    """Write the HTML report of a document, by its schema.
+
+    Raises
+    ------
+    InputError
+        When no report is known for the schema.
+    """
+    renderer = RENDERERS.get(str(document.get("schema")))
+    if renderer is None:
+        raise InputError(f"no report for schema {document.get('schema')!r}")
+    write_text(path, renderer(document))
+
+
+def write_recalibration(fit: Document, validation: Document, path: Path) -> None:
+    """Write the HTML report of a fit and its validation in one file."""
+    write_text(path, render_recalibration(fit, validation))
+
+
+def _fit_verdict(document: Document) -> Verdict:
+    return content.verdict(document, "Fit")
+
+
+def _validation_verdict(document: Document) -> Verdict:
+    return content.verdict(document, "Validation")
+
+
+def _heading(kind: str, document: Document) -> str:
+    return f"{kind} of {text(document.get('sensor_id')) or 'an unnamed sensor'}"
+
+
+def _fit_part(document: Document) -> Part:
+    labels = ("initial", "fitted")
+    return Part(
+        "Fit",
+        (
+            fit_content.fit_summary(document),
+            *_detector_pictures(document, labels, "fit"),
+            fit_content.parameter_table(document),
+            Picture(
+                "Parameter changes",
+                "Bars: change from the initial calibration over sigma, the parameter's spread "
+                "from unit to unit. Whiskers: the fit's sd on the same scale.",
+                (fit_figures.parameter_changes(document, "fit-changes"),),
+            ),
+            fit_content.observability_table(document),
+            Picture(
+                "",
+                "Left: correlation of the fitted parameters. Right: singular values of the "
+                "scaled problem; each line is named by the two largest components of its "
+                "direction. The smallest value is what the data show least.",
+                (
+                    fit_figures.correlations(document, "fit-correlation"),
+                    fit_figures.singular_values(document, "fit-singular"),
+                ),
+            ),
+            _time_picture(document, labels, "fit"),
+            fit_content.cycle_table(document),
+            Picture("", "", (fit_figures.cycles(document, "fit-cycles"),)),
+            fit_content.c_sd_table(document),
+            fit_content.fit_facts(document),
+            content.provenance_table(document),
+        ),
+    )
+
+
+def _validation_part(document: Document) -> Part:
+    labels = ("baseline", "candidate")
+    return Part(
+        "Validation",
+        (
+            content.validation_summary(document),
+            *_detector_pictures(document, labels, "validation"),
+            _time_picture(document, labels, "validation"),
+            content.validation_facts(document),
+            content.provenance_table(document),
+        ),
+    )
+
+
+def _detector_pictures(
+    document: Document, labels: tuple[str, str], prefix: str
+) -> tuple[Picture, Picture]:
+    field = section(document, "field")
+    vectors = tuple(
+        figures.residual_field(field, which, label, f"{prefix}-field-{which}")
+        for which, label in zip(("before", "after"), labels, strict=True)
+    )
+    stars = float(np.nansum(numbers(field.get("count"))))
+    basis = f"{stars:.0f} stars" if stars else "stars"
+    return (
+        Picture(
+            "Residual field",
+            f"Mean residual (measured minus predicted) of {basis} per detector cell, looking out "
+            "along the boresight. Each picture has its own scale, given by the arrow above it. "
+            "Grey: fewer than 5 stars.",
+            vectors,
+        ),
+        Picture(
+            "Radial profile",
+            "Mean of the residual's radial component over rings around the detector's centre; a "
+            "curve is distortion left in the model. Whiskers: one sd of the mean.",
+            (figures.radial_profile(section(document, "radial"), labels, f"{prefix}-radial"),),
+        ),
+    )
+
+
+def _time_picture(document: Document, labels: tuple[str, str], prefix: str) -> Picture:
+    svg = figures.matched_over_time(section(document, "series"), labels, f"{prefix}-series")
+    caption = (
+        "Above: matched stars, both exposures together. Below: one tick for each frame without a "
+        "fix, and their share."
+    )
+    return Picture("Matched stars and availability over time", caption, (svg,))
+
+
+def _page(heading: str, verdicts: Sequence[Verdict], parts: Sequence[Part]) -> str:
+    return _template().render(
+        heading=heading,
+        verdicts=verdicts,
+        parts=parts,
+        several=len(parts) > 1,
+        is_table=lambda item: isinstance(item, Table),
+    )
+
+
+def _template() -> Template:
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+    from markupsafe import Markup
+
+    environment = Environment(
+        loader=FileSystemLoader(_TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    # The figures' text was escaped when they were drawn; nothing else may pass unescaped.
+    environment.filters["svg"] = Markup
+    return environment.get_template("report.html.j2")

@@ -1,0 +1,1 @@
+"""Upload files: encoders, independent decoders, gates, and the comparison of two calibrations."""
