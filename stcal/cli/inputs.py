@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from stcal.config import SensorConfig
     from stcal.frames import FrameBatch
     from stcal.matching import Matcher
+    from stcal.telemetry.store import Store
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -60,17 +61,17 @@ def read_inputs(
     from stcal.config import config_sha256
     from stcal.matching import Matcher
     from stcal.pipeline.describe import span_of
-    from stcal.telemetry.store import Store
+    from stcal.telemetry.store import Store, read_fragment
     from stcal.version import __version__
 
     opened = Store.open(store)
     limits = parse_time(start, "--from"), parse_time(stop, "--to")
-    fragments = opened.require_fragments(sensor, *limits)
+    fragments = opened.fragments(sensor, *limits)
     settings = load_settings(opened, sensor, config)
     section = settings.catalogue
     full = load_catalogue(settings)
     chosen = select(full, section.limiting_magnitude, section.merge_separation_arcsec)
-    batches = [opened.read_fragment(fragment) for fragment in fragments]
+    batches = [read_fragment(fragment) for fragment in fragments]
     provenance = {
         "telemetry_sha256": opened.sha256(sensor, *limits),
         "catalogue_sha256": catalogue_sha256(full),
@@ -89,14 +90,14 @@ def load_catalogue(settings: SensorConfig) -> Any:
     return load_bundled() if path is None else load(Path(path))
 
 
-def load_settings(opened: Any, sensor: str, config: Path | None) -> SensorConfig:
+def load_settings(opened: Store, sensor: str, config: Path | None) -> SensorConfig:
     """Return the configuration given, or the one that the store has recorded for the sensor."""
     from stcal.config import load_config
     from stcal.errors import ConfigError
+    from stcal.telemetry.configurations import recorded_for
 
     if config is None:
-        recorded: SensorConfig = opened.config_for(sensor)
-        return recorded
+        return recorded_for(opened.root, sensor)
     settings = load_config(config)
     if not settings.applies_to(sensor):
         raise ConfigError(

@@ -1,0 +1,127 @@
+"""``stcal ingest``: read downlinked telemetry into a Parquet store."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from stcal.cli.output import emit, progress
+from stcal.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from stcal.telemetry.summary import Counts, IngestSummary
+
+
+@click.command(name="ingest")
+@click.argument("sources", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "--store",
+    "store_path",
+    required=True,
+    type=click.Path(path_type=Path),
+    help="The store's folder; made where there is none.",
+)
+@click.option(
+    "--config",
+    "config_paths",
+    required=True,
+    multiple=True,
+    type=click.Path(path_type=Path),
+    help="A sensor configuration; may be given several times.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
+@click.pass_context
+def command(
+    context: click.Context,
+    sources: tuple[Path, ...],
+    store_path: Path,
+    config_paths: tuple[Path, ...],
+    as_json: bool,
+) -> None:
+    """Read telemetry SOURCEs (files or folders; CSV or JSON Lines, plain or gzip) into a store.
+
+    Rows and frames that are refused go to the store's quarantine with source, row and reason.
+    """
+    from stcal.config import load_config
+    from stcal.telemetry.ingest import ingest
+    from stcal.telemetry.store import Store
+
+    configs = [load_config(path) for path in config_paths]
+    store = Store.open(store_path, create=True)
+    with progress("ingest", total=1.0) as bar:
+        done = 0.0
+
+        def step(name: str, files: int, total: int) -> None:
+            nonlocal done
+            share = files / total if total else 1.0
+            bar.describe(f"ingest {name}")
+            bar.advance(share - done)
+            done = share
+
+        summary = ingest(sources, store, configs, progress=step)
+    _finish(context, summary, as_json)
+
+
+def _finish(context: click.Context, summary: IngestSummary, as_json: bool) -> None:
+    """Print the summary and leave with its exit code."""
+    if summary.errors:
+        failure = InputError("\n".join(summary.errors))
+        failure.document = summary.document()
+        if not as_json:
+            emit(failure.document, False, lambda console: _tables(summary, console))
+        raise failure
+    emit(summary.document(), as_json, lambda console: _tables(summary, console))
+    if summary.exit_code:
+        click.echo(
+            f"stcal: {summary.quarantine_share:.1%} of the rows went to quarantine, more than "
+            f"the {summary.maximum_quarantine_share:.1%} that the configuration allows",
+            err=True,
+        )
+    context.exit(summary.exit_code)
+
+
+def _tables(summary: IngestSummary, console: Console) -> None:
+    from rich.table import Table
+
+    table = Table("Source")
+    for title in ("Rows", "Frames", "New", "Repl.", "Dupl.", "Confl.", "Stars", "Refused"):
+        table.add_column(title, justify="right")
+    for source in summary.sources:
+        name = source.path.name + (" (damaged)" if source.error else "")
+        table.add_row(name, *_numbers(source.counts))
+    if len(summary.sources) > 1:
+        table.add_section()
+        table.add_row("total", *_numbers(summary.counts))
+    console.print(table)
+    console.print(
+        "Frames: new, replacing a version with fewer stars, duplicate, in conflict with a better "
+        "version.  Refused rows are in quarantine.",
+        style="dim",
+    )
+    _quarantine_table(summary, console)
+    for source in summary.sources:
+        for warning in source.warnings:
+            console.print(f"{source.path.name}: {warning}", markup=False)
+
+
+def _numbers(counts: Counts) -> list[str]:
+    frames = (counts.frames, counts.new_frames, counts.replaced_frames, counts.duplicate_frames)
+    rest = (counts.conflicting_frames, counts.stars, counts.quarantined_rows)
+    return [str(number) for number in (counts.rows, *frames, *rest)]
+
+
+def _quarantine_table(summary: IngestSummary, console: Console) -> None:
+    from rich.table import Table
+
+    from stcal.telemetry.quarantine import REASONS
+
+    if not summary.quarantined:
+        return
+    table = Table("Quarantine", "Rows", "What it means")
+    for code, rows in summary.quarantined.items():
+        table.add_row(code, str(rows), REASONS[code])
+    console.print(table)

@@ -1,0 +1,1 @@
+"""Downlinked telemetry: decoders, validation, the Parquet store, quarantine, writers."""

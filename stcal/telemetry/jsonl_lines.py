@@ -1,0 +1,158 @@
+"""Read JSON Lines one line at a time: the careful way, for blocks with a line that is broken."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from stcal.frames import Ints
+from stcal.telemetry.block import RowBlock, text_of
+from stcal.telemetry.columns import COLUMNS, OPTIONAL_COLUMNS, STAR_COLUMNS, VECTORS
+from stcal.telemetry.quarantine import TRUNCATED, Rejection
+
+LISTS = {"quaternion": VECTORS["q_si"], "rate_deg_s": VECTORS["rate_deg_s"]}
+_SCALARS = ("sensor_id", "frame_id", "time_utc", "best_exposure", "temperature_c")
+_OPTIONAL = tuple(column.name for column in OPTIONAL_COLUMNS)
+FRAME_KEYS = {*_SCALARS, *_OPTIONAL, *LISTS, "exposures"}
+STAR_KEYS = tuple(column.name for column in STAR_COLUMNS if column.name != "exposure")
+# Place of a row that is no star of its line.
+WHOLE_LINE = -1
+_EXPOSURE_KEYS = ("exposure", "stars")
+
+Row = dict[str, str]
+
+
+class _NotAFrameError(ValueError):
+    """The line is no frame; the message says why."""
+
+
+def read_lines(
+    lines: list[bytes], number: Ints, cut: bool, warn: Callable[[str], None]
+) -> RowBlock:
+    """Return the rows of the lines; the ``cut`` last one and broken ones are rejected."""
+    rows: list[Row] = []
+    line_of: list[int] = []
+    star_of: list[int] = []
+    rejected: list[Rejection] = []
+    for i, line in enumerate(lines):
+        last = cut and i == len(lines) - 1
+        unfolded = _reject if last else _read_line(line, warn)
+        if isinstance(unfolded, list):
+            rows += unfolded
+            line_of += [i] * len(unfolded)
+            star_of += range(len(unfolded)) if "exposure" in unfolded[0] else [WHOLE_LINE]
+            continue
+        code, detail = unfolded
+        rejected.append(Rejection(int(number[i]), code, detail, text_of(line)))
+    columns = {
+        c.name: pa.array([row.get(c.name, "") for row in rows], pa.string()) for c in COLUMNS
+    }
+    line_index = np.array(line_of, dtype=np.int64)
+    return RowBlock(
+        columns=columns,
+        row=number[line_index],
+        run=np.unique(line_index, return_inverse=True)[1],  # rejected lines leave no gap
+        raw=lambda i: raw_of(lines[line_of[i]], star_of[i]),
+        raw_line=lambda i: text_of(lines[line_of[i]]),
+        rejected=rejected,
+        lines_are_frames=True,
+    )
+
+
+_reject = (TRUNCATED, "the file ends within this line")
+
+
+def raw_of(line: bytes, star: int) -> str:
+    """Return the JSON of one star of a line (by its place in the line), or the whole line."""
+    if star == WHOLE_LINE:
+        return text_of(line)
+    try:
+        exposures = json.loads(line)["exposures"]
+        stars = [
+            {"exposure": exposure.get("exposure"), **detection}
+            for exposure in exposures
+            for detection in exposure["stars"]
+        ]
+        return json.dumps(stars[star])
+    except (ValueError, TypeError, AttributeError, LookupError):
+        return text_of(line)
+
+
+def _read_line(line: bytes, warn: Callable[[str], None]) -> list[Row] | tuple[str, str]:
+    """Return the rows of one line, or (code, detail) of why it is refused."""
+    try:
+        text = line.decode("utf-8")
+    except UnicodeDecodeError:
+        return "bad_encoding", "the line is not UTF-8"
+    try:
+        document = json.loads(text, object_pairs_hook=_object)
+        return list(_rows(document, warn))
+    except _NotAFrameError as error:
+        return "bad_json", str(error)
+    # ValueError: syntax, or an integer of thousands of digits; RecursionError: deep nesting.
+    except (ValueError, RecursionError) as error:
+        return "bad_json", f"not JSON: {error}"
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    document = dict(pairs)
+    if len(document) < len(pairs):
+        keys = [key for key, _ in pairs]
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise _NotAFrameError(f"key {twice!r} is given twice")
+    return document
+
+
+def _rows(document: Any, warn: Callable[[str], None]) -> Iterator[Row]:
+    frame = _frame(document, warn)
+    empty = True
+    exposures = document.get("exposures")
+    if not isinstance(exposures, list):
+        raise _NotAFrameError("exposures is not a list")
+    for exposure in exposures:
+        if not isinstance(exposure, dict) or not isinstance(exposure.get("stars"), list):
+            raise _NotAFrameError("an exposure is not an object with a list of stars")
+        _warn_unknown(exposure, _EXPOSURE_KEYS, warn)
+        number = _text(exposure.get("exposure"))
+        for star in exposure["stars"]:
+            if not isinstance(star, dict):
+                raise _NotAFrameError("a star is not an object")
+            _warn_unknown(star, STAR_KEYS, warn)
+            empty = False
+            yield frame | {"exposure": number} | {k: _text(star.get(k)) for k in STAR_KEYS}
+    if empty:
+        yield frame
+
+
+def _frame(document: Any, warn: Callable[[str], None]) -> Row:
+    if not isinstance(document, dict):
+        raise _NotAFrameError("the line is not a JSON object")
+    _warn_unknown(document, FRAME_KEYS, warn)
+    frame = {key: _text(document.get(key)) for key in (*_SCALARS, *_OPTIONAL)}
+    for key, names in LISTS.items():
+        values = document.get(key)
+        if values is None:
+            continue
+        if not isinstance(values, list) or len(values) != len(names):
+            raise _NotAFrameError(f"{key} is not null or a list of {len(names)} numbers")
+        frame |= {name: _text(value) for name, value in zip(names, values, strict=True)}
+    return frame
+
+
+def _text(value: Any) -> str:
+    """Return a JSON value as the text that the long form would have."""
+    if value is None:
+        return ""
+    text = value if isinstance(value, str) else json.dumps(value)
+    # A lone surrogate is valid JSON, but not text.
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
+def _warn_unknown(document: dict[str, Any], known: Any, warn: Callable[[str], None]) -> None:
+    for key in document:
+        if key not in known:
+            warn(f"unknown key ignored: {key}")

@@ -1,0 +1,204 @@
+"""Quarantine: every row or frame that was not taken, with its source, row, reason and text.
+
+``quarantine/<source sha256>.parquet`` holds what one file's rows were refused for (further parts of
+a very long file: ``<sha256>-0001.parquet``), and is replaced when the file is ingested again.
+``quarantine/conflicts/sensor=<id>/day=<day>.parquet`` holds the versions of a frame that lost
+against another one.  They are kept by day and not by source because which version loses is known
+only when the last source has come: so the records do not depend on the order of ingestion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from stcal import atomic
+from stcal.errors import InputError
+
+FOLDER = "quarantine"
+CONFLICT = "conflict"
+TRUNCATED = "truncated"
+
+# Code of a reason -> what it means.  Row: the row alone is refused.  Frame: all its rows are.
+REASONS = {
+    "ragged_row": "row: not as many fields as the header has columns",
+    "bad_encoding": "row: not UTF-8",
+    "bad_text": "row: control characters or quotes that do not close",
+    "bad_json": "row: not a JSON object of the telemetry's form",
+    "bad_exposure": "row: exposure is neither 0 nor 1",
+    "bad_centroid": "row: row_px or col_px is empty or not a finite number",
+    "outside_detector": "row: the centroid lies outside the detector",
+    "bad_intensity": "row: intensity is not a finite number",
+    "bad_star_id": "row: star_id is neither HIP n nor TYC a-b-c",
+    "bad_sensor_id": "frame: sensor_id is empty, too long or not printable",
+    "unknown_sensor": "frame: no configuration given applies to this sensor",
+    "bad_frame_id": "frame: frame_id is not an integer of at most 18 digits",
+    "bad_time": "frame: time_utc is not an ISO 8601 UTC time with Z, from 1972 on",
+    "bad_best_exposure": "frame: best_exposure is neither 0, 1 nor empty",
+    "bad_quaternion": "frame: partly empty, not numbers, zero or not of unit norm",
+    "bad_rate": "frame: a rate is not a finite number",
+    "bad_temperature": "frame: temperature_c is not a finite number",
+    "bad_flag": "frame: eclipse or intrusion is neither 0, 1 nor empty",
+    "bad_state": "frame: position or velocity is partly empty or not finite numbers",
+    "inconsistent_frame": "frame: its rows give different values for the frame",
+    TRUNCATED: "frame: the file ends within it",
+    CONFLICT: "frame: another version of it (more stars, then smaller content hash) is kept",
+}
+
+
+@dataclass(frozen=True)
+class Rejection:
+    """One record: ``rows`` telemetry rows from line ``row`` on, refused for one reason."""
+
+    row: int
+    code: str
+    detail: str
+    raw: str
+    rows: int = 1
+    sensor_id: str = ""
+    frame_id: str = ""
+
+
+@dataclass(frozen=True)
+class LostVersion:
+    """A version of a frame that another version of it displaced."""
+
+    source: str
+    source_sha256: str
+    row: int
+    rows: int
+    sensor_id: str
+    frame_id: int
+    raw: str
+    content_sha256: str
+
+
+def schema() -> pa.Schema:
+    """Return the Arrow schema of a quarantine file."""
+    text, whole = pa.string(), pa.int64()
+    fields = [
+        ("source", text),
+        ("source_sha256", text),
+        ("row", whole),
+        ("rows", whole),
+        ("sensor_id", text),
+        ("frame_id", text),
+        ("code", text),
+        ("detail", text),
+        ("raw", text),
+        ("content_sha256", text),
+    ]
+    metadata = {"schema": "stcal.quarantine", "version": "1"}
+    return pa.schema([pa.field(name, kind) for name, kind in fields], metadata=metadata)
+
+
+def write_source_part(
+    store: Path, name: str, sha256: str, part: int, rejections: Sequence[Rejection]
+) -> Path:
+    """Write one part of a source's quarantine atomically and return its path.
+
+    A file known under two names keeps the first in the alphabet, whichever comes first.
+    """
+    path = _source_path(store, sha256, part)
+    if path.exists():
+        name = min([name, *read_file(path)["source"].to_pylist()[:1]])
+    ordered = sorted(rejections, key=lambda record: record.row)
+    records = [
+        {
+            **vars(record),
+            "source": name,
+            "source_sha256": sha256,
+            "raw": _encodable(record.raw),
+            "detail": _encodable(record.detail),
+        }
+        for record in ordered
+    ]
+    _write(path, pa.Table.from_pylist(records, schema=schema()))
+    return path
+
+
+def remove_other_parts(store: Path, sha256: str, kept: Iterable[Path]) -> None:
+    """Remove what an earlier ingest of this source left that the latest one did not write."""
+    known = set(kept)
+    for path in (store / FOLDER).glob(f"{sha256}*.parquet"):
+        if path not in known:
+            path.unlink(missing_ok=True)
+
+
+def conflicts_path(store: Path, sensor_folder: str, day: str) -> Path:
+    """Return the file of the displaced versions of one sensor's day."""
+    return store / FOLDER / "conflicts" / sensor_folder / f"day={day}.parquet"
+
+
+def read_conflicts(path: Path) -> list[LostVersion]:
+    """Return the displaced versions in a conflicts file; none when there is no file."""
+    if not path.exists():
+        return []
+    names = LostVersion.__dataclass_fields__
+    rows = [{k: row[k] for k in names} for row in read_file(path).to_pylist()]
+    return [LostVersion(**{**row, "frame_id": int(row["frame_id"])}) for row in rows]
+
+
+def write_conflicts(path: Path, lost: Iterable[LostVersion]) -> None:
+    """Write a conflicts file atomically, in an order that depends on the content only."""
+    ordered = sorted(lost, key=lambda version: (version.frame_id, version.content_sha256))
+    detail = REASONS[CONFLICT].removeprefix("frame: ")
+    records = [
+        {**vars(version), "frame_id": str(version.frame_id), "code": CONFLICT, "detail": detail}
+        for version in ordered
+    ]
+    _write(path, pa.Table.from_pylist(records, schema=schema()))
+
+
+def read_file(path: Path) -> pa.Table:
+    """Read one quarantine file.
+
+    Raises
+    ------
+    InputError
+        Naming the file when it is damaged.
+    """
+    try:
+        # Not read_table: it would invent columns from the folder names.
+        return pq.ParquetFile(path).read()
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(f"{path}: damaged quarantine file: {error}") from None
+
+
+def read_all(store: Path) -> pa.Table:
+    """Return every quarantine record of a store."""
+    paths = sorted((store / FOLDER).rglob("*.parquet"))
+    return pa.concat_tables([schema().empty_table(), *(read_file(path) for path in paths)])
+
+
+def count_rows(table: pa.Table) -> dict[str, int]:
+    """Return the telemetry rows in quarantine by reason."""
+    grouped = table.group_by("code").aggregate([("rows", "sum")])
+    counts = dict(zip(grouped["code"].to_pylist(), grouped["rows_sum"].to_pylist(), strict=True))
+    return {code: counts[code] for code in REASONS if code in counts}
+
+
+def total_rows(table: pa.Table) -> int:
+    """Return the telemetry rows that the records of a table stand for."""
+    return int(pc.sum(table["rows"]).as_py() or 0)
+
+
+def _source_path(store: Path, sha256: str, part: int) -> Path:
+    return store / FOLDER / (f"{sha256}-{part:04d}.parquet" if part else f"{sha256}.parquet")
+
+
+def _write(path: Path, table: pa.Table) -> None:
+    def fill(stream: BinaryIO) -> None:
+        pq.write_table(table, stream, compression="zstd")
+
+    atomic.write_with(path, fill)
+
+
+def _encodable(text: str) -> str:
+    return text.encode("utf-8", "backslashreplace").decode()

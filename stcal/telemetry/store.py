@@ -1,0 +1,306 @@
+"""The Parquet store: ``frames/sensor=<id>/day=<UTC day>/frames.parquet``, one row a frame.
+
+Each fragment is replaced in one step, so a reader and a kill at any moment find a whole store.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import date
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, BinaryIO
+from urllib.parse import quote, unquote
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from stcal import atomic
+from stcal.errors import InputError
+from stcal.frames import FrameBatch, concatenate
+from stcal.telemetry import quarantine
+from stcal.telemetry.content import ContentHash
+from stcal.telemetry.merge import Merge, merge
+from stcal.telemetry.schema import (
+    StoredFrames,
+    batch_from_table,
+    check_version,
+    stored_from_table,
+    table_from_stored,
+)
+from stcal.times import format_utc, parse_utc
+
+SCHEMA = "stcal.store"
+VERSION = 1
+MARKER = "store.json"
+FRAMES = "frames"
+LOCK = ".lock"
+MAXIMUM_FRAMES = 20_000
+_FRAGMENT = "frames.parquet"
+_ROW_GROUP_FRAMES = 5_000
+_DAY_NS = 86_400 * 1_000_000_000
+
+
+@dataclass(frozen=True)
+class Fragment:
+    """A cheap handle of consecutive frames of one sensor and day; picklable.
+
+    ``first`` and ``frames`` count in the file, which had ``file_frames`` frames.
+    """
+
+    path: Path
+    sensor_id: str
+    day: str
+    first: int
+    frames: int
+    file_frames: int
+
+
+@dataclass(frozen=True)
+class Store:
+    """A store of telemetry on disk."""
+
+    root: Path
+
+    @staticmethod
+    def open(path: Path, create: bool = False) -> Store:
+        """Open a store, or make an empty one where there is none and ``create`` is set.
+
+        Raises
+        ------
+        InputError
+            There is none, the folder holds something else, or a newer stcal wrote it.
+        """
+        marker = path / MARKER
+        if not marker.exists():
+            if not create:
+                raise InputError(f"{path}: no stcal store here ({MARKER} is missing)")
+            _create(path)
+        _check_marker(marker)
+        return Store(path)
+
+    def sensors(self) -> list[str]:
+        """Return the sensors that the store has frames of, sorted."""
+        folders = (self.root / FRAMES).glob("sensor=*")
+        return sorted(unquote(f.name.removeprefix("sensor=")) for f in folders if any(f.iterdir()))
+
+    def fragments(
+        self,
+        sensor_id: str,
+        start_tai_ns: int | None = None,
+        stop_tai_ns: int | None = None,
+        maximum_frames: int = MAXIMUM_FRAMES,
+    ) -> list[Fragment]:
+        """Return handles of the frames with start <= t < stop, in time order.
+
+        A day of more than ``maximum_frames`` selected frames is cut into nearly equal parts, the
+        same ones whenever the store is the same.
+
+        Raises
+        ------
+        InputError
+            Naming the store: the sensor is not in it, or has no frames in that time.
+        """
+        found: list[Fragment] = []
+        for path in self._days(sensor_id):
+            if _may_overlap(path, start_tai_ns, stop_tai_ns):
+                found += _split(path, sensor_id, start_tai_ns, stop_tai_ns, maximum_frames)
+        if not found:
+            raise InputError(self._nothing(sensor_id, start_tai_ns, stop_tai_ns))
+        return found
+
+    def read_frames(
+        self, sensor_id: str, start_tai_ns: int | None = None, stop_tai_ns: int | None = None
+    ) -> FrameBatch:
+        """Return the frames with start <= t < stop as one batch; raises as :meth:`fragments`."""
+        fragments = self.fragments(sensor_id, start_tai_ns, stop_tai_ns)
+        return concatenate([read_fragment(fragment) for fragment in fragments])
+
+    def sha256(
+        self, sensor_id: str, start_tai_ns: int | None = None, stop_tai_ns: int | None = None
+    ) -> str:
+        """Return the content hash of the selected frames; their sources do not enter it."""
+        content = ContentHash(sensor_id)
+        for fragment in self.fragments(sensor_id, start_tai_ns, stop_tai_ns):
+            content.update(read_fragment(fragment))
+        return content.hexdigest()
+
+    def quarantine(self) -> pa.Table:
+        """Return every quarantine record, in the schema of :mod:`stcal.telemetry.quarantine`."""
+        return quarantine.read_all(self.root)
+
+    def merge_day(self, day: str, incoming: StoredFrames) -> Merge:
+        """Merge frames of one sensor and UTC day into the store; the caller holds the lock.
+
+        The displaced versions are on disk before the day that no longer has them.
+        """
+        sensor_id = incoming.frames.sensor_id
+        path = self._folder(sensor_id) / f"day={day}" / _FRAGMENT
+        conflicts = quarantine.conflicts_path(self.root, sensor_folder(sensor_id), day)
+        stored = stored_from_table(_read(path), sensor_id) if path.exists() else None
+        lost = quarantine.read_conflicts(conflicts)
+        merged = merge(stored, lost, incoming)
+        if set(merged.lost) != set(lost):
+            quarantine.write_conflicts(conflicts, merged.lost)
+        table = table_from_stored(merged.kept)
+        if stored is None or not table.equals(table_from_stored(stored)):
+            _write(path, table)
+        return merged
+
+    @contextmanager
+    def lock(self) -> Iterator[None]:
+        """Hold the store for writing, and clear what a killed writer left.
+
+        Raises
+        ------
+        InputError
+            Another process holds it; the message has its number.
+        """
+        with (self.root / LOCK).open("a+") as stream:
+            try:
+                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                stream.seek(0)
+                owner = stream.read().strip() or "unknown"
+                raise InputError(
+                    f"{self.root}: process {owner} is writing to this store; wait for its end"
+                ) from None
+            stream.truncate(0)
+            stream.write(str(os.getpid()))
+            stream.flush()
+            for left in self.root.rglob(f"{atomic.TEMPORARY_PREFIX}*"):
+                left.unlink(missing_ok=True)
+            try:
+                yield
+            finally:
+                stream.truncate(0)
+
+    def _folder(self, sensor_id: str) -> Path:
+        return self.root / FRAMES / sensor_folder(sensor_id)
+
+    def _days(self, sensor_id: str) -> list[Path]:
+        return sorted(self._folder(sensor_id).glob(f"day=*/{_FRAGMENT}"))
+
+    def _nothing(self, sensor_id: str, start: int | None, stop: int | None) -> str:
+        days = self._days(sensor_id)
+        if not days:
+            known = ", ".join(self.sensors()) or "none"
+            return f"{self.root}: no frames of sensor {sensor_id!r}; sensors in the store: {known}"
+        limits = ("" if t is None else format_utc(t) for t in (start, stop))
+        first, last = (path.parent.name.removeprefix("day=") for path in (days[0], days[-1]))
+        return (
+            f"{self.root}: no frames of sensor {sensor_id!r} in [{', '.join(limits)}); "
+            f"it has frames from {first} to {last}"
+        )
+
+
+def sensor_folder(sensor_id: str) -> str:
+    """Return the folder's name of a sensor; no character of it can leave the folder."""
+    return "sensor=" + quote(sensor_id, safe="")
+
+
+def read_fragment(fragment: Fragment) -> FrameBatch:
+    """Return the frames of a fragment.
+
+    Raises
+    ------
+    InputError
+        Naming the file: it is damaged, or was rewritten since the handle was made.
+    """
+    with _reading(fragment.path) as file:
+        if file.metadata.num_rows != fragment.file_frames:
+            raise InputError(f"{fragment.path}: the store changed while it was read; run again")
+        groups, skipped = _row_groups(file, fragment.first, fragment.first + fragment.frames)
+        table = file.read_row_groups(groups).slice(fragment.first - skipped, fragment.frames)
+    return batch_from_table(table, fragment.sensor_id)
+
+
+def _row_groups(file: pq.ParquetFile, first: int, stop: int) -> tuple[list[int], int]:
+    """Return the row groups that hold rows [first, stop), and the rows before them."""
+    sizes = [file.metadata.row_group(i).num_rows for i in range(file.num_row_groups)]
+    ends = np.cumsum(sizes)
+    low, high = np.searchsorted(ends, [first, stop - 1], side="right").tolist()
+    return list(range(low, high + 1)), int(ends[low] - sizes[low])
+
+
+def _split(
+    path: Path, sensor_id: str, start: int | None, stop: int | None, maximum: int
+) -> list[Fragment]:
+    with _reading(path) as file:
+        total = file.metadata.num_rows
+        first, last = 0, total
+        if start is not None or stop is not None:
+            times = file.read(["t_tai_ns"])["t_tai_ns"].to_numpy()
+            first = 0 if start is None else int(np.searchsorted(times, start))
+            last = total if stop is None else int(np.searchsorted(times, stop))
+    if last <= first:
+        return []
+    edges = np.linspace(first, last, -(-(last - first) // maximum) + 1).astype(int).tolist()
+    day = path.parent.name.removeprefix("day=")
+    return [Fragment(path, sensor_id, day, low, high - low, total) for low, high in pairwise(edges)]
+
+
+def _may_overlap(path: Path, start: int | None, stop: int | None) -> bool:
+    """Whether a day's folder can hold frames of [start, stop); spares opening the others."""
+    day = path.parent.name.removeprefix("day=")
+    try:
+        begin = parse_utc(f"{date.fromisoformat(day).isoformat()}T00:00:00Z")
+    except ValueError:
+        raise InputError(f"{path}: {day!r} is not a day") from None
+    end = begin + _DAY_NS + 1_000_000_000  # a day may have a leap second
+    return (stop is None or begin < stop) and (start is None or end > start)
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[pq.ParquetFile]:
+    try:
+        # Not read_table: it would invent columns from the folder names.
+        with pq.ParquetFile(path) as file:
+            check_version(file.schema_arrow, str(path))
+            yield file
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(
+            f"{path}: damaged fragment: {error}; move it away and ingest its files again"
+        ) from None
+
+
+def _read(path: Path) -> pa.Table:
+    with _reading(path) as file:
+        return file.read()
+
+
+def _write(path: Path, table: pa.Table) -> None:
+    def fill(stream: BinaryIO) -> None:
+        pq.write_table(table, stream, compression="zstd", row_group_size=_ROW_GROUP_FRAMES)
+
+    atomic.write_with(path, fill)
+
+
+def _create(path: Path) -> None:
+    if path.exists() and not path.is_dir():
+        raise InputError(f"{path}: is not a folder")
+    if path.is_dir() and any(not child.name.startswith(".") for child in path.iterdir()):
+        raise InputError(f"{path}: is neither a store nor empty; name another folder")
+    document: dict[str, Any] = {"schema": SCHEMA, "version": VERSION}
+    atomic.write_text(path / MARKER, json.dumps(document) + "\n")
+
+
+def _check_marker(marker: Path) -> None:
+    try:
+        document = json.loads(marker.read_text("utf-8"))
+        schema, version = document["schema"], document["version"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{marker}: not the marker of a store: {error}") from None
+    if schema != SCHEMA or not isinstance(version, int):
+        raise InputError(f"{marker}: schema {schema!r}, version {version!r} is not {SCHEMA!r}")
+    if version > VERSION:
+        raise InputError(
+            f"{marker}: written with store version {version}, this stcal reads up to {VERSION}; "
+            "use a newer stcal"
+        )
