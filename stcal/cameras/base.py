@@ -99,7 +99,8 @@ class Camera:
         Central differences over steps that move directions by some 0.1 mrad; the scale is so
         smooth that this is good to a part in a thousand.
         """
-        moved = np.sqrt((self.jacobian(m, n)[1] ** 2).sum(axis=1).mean(axis=0))
+        squares = (self.jacobian(m, n)[1] ** 2).sum(axis=1)
+        moved = np.sqrt(squares.sum(axis=0) / max(len(m), 1))
         slopes = np.zeros((len(m), len(moved)))
         for p in np.flatnonzero(moved > 0):
             step = _SLOPE_STEP_RAD / moved[p]

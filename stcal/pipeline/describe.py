@@ -19,6 +19,7 @@ from stcal.metrics import cell_of, detector_cells, residual_vectors
 from stcal.pipeline.cycles import Cycle
 from stcal.residuals.selection import StarSelection
 from stcal.times import format_utc
+from stcal.units import unit_of
 from stcal.version import __version__
 
 if TYPE_CHECKING:
@@ -80,8 +81,16 @@ def fit_document(
         "method": "batch",
         "residual": "arclength",
         "matches": matches,
-        "verdict": {"accepted": not refusals, "reasons": refusals},
+        "verdict": {"accepted": not refusals, "reasons": refusals, "notes": notes(batches)},
         "frames": sum(b.n_frames for b in batches),
+        "frames_solved": {
+            "initial": sum(int(m.frame_solved.sum()) for m in estimate.baseline),
+            "fitted": sum(int(m.frame_solved.sum()) for m in last.matched),
+        },
+        "matched_stars": {
+            "initial": sum(int(m.is_matched.sum()) for m in estimate.baseline),
+            "fitted": last.matched_stars,
+        },
         "exposures_used": sum(s.n_exposures for s in selections),
         "stars_used": sum(len(s.star) for s in selections),
         "arcs": last.solution.information.rows,
@@ -113,6 +122,17 @@ def fit_document(
         ),
         "provenance": provenance,
     }  # fmt: skip
+
+
+def notes(batches: Sequence[FrameBatch]) -> list[str]:
+    """Return what a reader of the result should know about the telemetry."""
+    unknown = sum(int((~np.isfinite(b.vel_km_s).all(axis=1)).sum()) for b in batches)
+    if not unknown:
+        return []
+    return [
+        f"the spacecraft's velocity is unknown in {unknown} frames: in a low orbit it displaces "
+        "stars by up to 25 urad, of which some 5 urad over the field are not a rotation"
+    ]
 
 
 def quality(document: dict[str, Any]) -> dict[str, Any]:
@@ -190,19 +210,20 @@ def observability_sentence(estimate: Estimate, names: Sequence[str]) -> str:
             f"{values[0] / values[-1]:.0f} times weaker than the strongest."
         )
     parts = [
-        f"{_combination(vectors[:, k], names)} is {values[0] / values[k]:.0f} times less "
-        "observable than the best determined combination"
+        f"{_combination(vectors[:, k], names)} ({values[0] / values[k]:.0f} times weaker than the "
+        "best determined combination)"
         for k in reversed(weak[-2:])
     ]
     return (
-        "Weakly observable (in Table II sigma units): " + "; ".join(parts) + ". Such parameters "
-        "trade against each other: their sum of effects is known well, their difference is not."
+        "Weakly observable, parameters in units of their sigma: " + ", then ".join(parts) + ". "
+        "Along such a combination parameters may move together almost without changing the "
+        "residuals, so their values must be read with the correlations."
     )
 
 
 def _combination(vector: Floats, names: Sequence[str]) -> str:
     parts = [k for k in np.argsort(-np.abs(vector)) if abs(vector[k]) > 0.25]
-    return " ".join(f"{vector[k]:+.2f} {names[k]}" for k in parts)
+    return " ".join(f"{vector[k]:+.2f} {unit_of(names[k]).symbol}" for k in parts)
 
 
 def _alignment(estimate: Estimate) -> dict[str, Any]:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 # Cells with fewer stars than this are drawn faint: their mean is mostly noise.
 _FEW_STARS = 5
+_SHORTEST_SPAN_DAYS = 1.0 / 24.0
 _MOST_POINTS = 300
 _MOST_CELLS = 900
 
@@ -179,6 +180,10 @@ def _time_panels(
     lower.set_yticks((1, 0), shares)
     lower.set_ylim(-0.6, 1.6)
     lower.tick_params(axis="y", length=0)
+    # Never a range of seconds, nor the years that matplotlib shows around a single frame.
+    span = float(np.ptp(x))
+    margin = max(0.03 * span, 0.5 * (_SHORTEST_SPAN_DAYS - span))
+    lower.set_xlim(x.min() - margin, x.max() + margin)
     locator = dates.AutoDateLocator(maxticks=8)
     lower.xaxis.set_major_locator(locator)
     lower.xaxis.set_major_formatter(dates.ConciseDateFormatter(locator))

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from stcal.report.content import (
     Table,
     field_rms,
@@ -16,10 +14,8 @@ from stcal.report.content import (
 )
 from stcal.report.document import (
     Document,
-    flags,
     matrix,
     number,
-    numbers,
     section,
     sections,
     text,
@@ -39,15 +35,17 @@ from stcal.report.format import (
 )
 from stcal.units import unit_of
 
+_BOTH = ("initial", "fitted")
+
 
 def fit_summary(document: Document) -> Table:
     """Before and after the fit, on the calibration data."""
-    errors, series = section(document, "rms_urad"), section(document, "series")
+    errors, frames = section(document, "rms_urad"), number(document.get("frames"))
     before, after = number(errors.get("initial")), number(errors.get("fitted"))
     rows = [("Common-pair RMS [µrad]", rms(before), rms(after), ratio_of(before, after))]
-    shares = [_share(series.get(f"fix_{which}")) for which in ("initial", "fitted")]
+    shares = [_per_frame(document, "frames_solved", which, frames) for which in _BOTH]
     rows.append(("Frames with a fix", percent(shares[0]), percent(shares[1]), ratio_of(*shares)))
-    stars = [_mean(series.get(f"matched_{which}")) for which in ("initial", "fitted")]
+    stars = [_per_frame(document, "matched_stars", which, frames) for which in _BOTH]
     rows.append(("Matched stars per frame", fixed(stars[0]), fixed(stars[1]), ratio_of(*stars)))
     fields = [field_rms(document, which) for which in ("before", "after")]
     rows.append(
@@ -59,7 +57,7 @@ def fit_summary(document: Document) -> Table:
         )
     )
     header = ("On the calibration data", "Initial", "Fitted", "Fitted / initial")
-    note = "Fixes and stars: over the frames of the time series below, both exposures together."
+    note = "Matched stars: both exposures together."
     return Table("Before and after", header, tuple(rows), note)
 
 
@@ -170,11 +168,6 @@ def _in_unit(value: Any, size: float) -> float | None:
     return None if found is None else found / size
 
 
-def _share(value: Any) -> float | None:
-    found = flags(value)
-    return float(found.mean()) if len(found) else None
-
-
-def _mean(value: Any) -> float | None:
-    found = numbers(value)
-    return float(np.nanmean(found)) if np.isfinite(found).any() else None
+def _per_frame(document: Document, what: str, which: str, frames: float | None) -> float | None:
+    found = number(section(document, what).get(which))
+    return None if found is None or not frames else found / frames

@@ -39,6 +39,8 @@ def fit_document(frames: int = 120, seed: int = 1) -> dict[str, Any]:
         "matches": "telemetry",
         "verdict": {"accepted": True, "reasons": []},
         "frames": frames,
+        "frames_solved": {"initial": frames - 30, "fitted": frames - 2},
+        "matched_stars": {"initial": 11 * frames, "fitted": 20 * frames},
         "exposures_used": 2 * frames - 7,
         "stars_used": 20 * frames,
         "arcs": 35 * frames,
