@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from stcal.atomic import write_text
 from stcal.cameras import CAMERAS, Camera
 from stcal.errors import InputError
+from stcal.reading import read_json_object
 
 SCHEMA = "stcal.calibration/1"
 Floats = NDArray[np.float64]
@@ -94,12 +95,7 @@ def load(path: Path) -> Calibration:
     InputError
         Naming the file and every field that is missing or wrong.
     """
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not JSON: {error}") from None
+    document = read_json_object(path)
     problems: list[str] = []
     calibration = _build(document, problems)
     if calibration is None or problems:
@@ -107,10 +103,7 @@ def load(path: Path) -> Calibration:
     return calibration
 
 
-def _build(document: Any, problems: list[str]) -> Calibration | None:
-    if not isinstance(document, dict):
-        problems.append("the top level is not an object")
-        return None
+def _build(document: dict[str, Any], problems: list[str]) -> Calibration | None:
     if document.get("schema") != SCHEMA:
         problems.append(f"schema is {document.get('schema')!r}, this version reads {SCHEMA!r}")
         return None

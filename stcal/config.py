@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import tomllib
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated, Literal
@@ -12,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from stcal.cameras import CAMERAS
 from stcal.errors import ConfigError
+from stcal.reading import read_toml
 
 SCHEMA = "stcal.sensor/1"
 
@@ -155,13 +155,7 @@ def load_config(path: Path) -> SensorConfig:
     ConfigError
         Naming the file and every error in it.
     """
-    try:
-        with path.open("rb") as stream:
-            document = tomllib.load(stream)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: not TOML: {error}") from None
+    document = read_toml(path)
     try:
         config = SensorConfig.model_validate(document)
     except ValidationError as error:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from stcal.cli.inputs import OUT, read_inputs, store_options
+from stcal.cli.inputs import OUT, Selection, read_inputs, store_options
 from stcal.cli.output import emit, progress
 
 if TYPE_CHECKING:
@@ -36,11 +36,7 @@ def command(
     initial: Path,
     matches: str,
     out: Path,
-    store: Path,
-    sensor: str,
-    config: Path | None,
-    start: str | None,
-    stop: str | None,
+    selection: Selection,
     workers: int,
     as_json: bool,
 ) -> None:
@@ -57,10 +53,10 @@ def command(
     if not batch:
         raise UsageError("say how to fit: --batch")
     parent = load(initial)
-    inputs = read_inputs(store, sensor, config, start, stop)
+    inputs = read_inputs(selection)
     provenance = inputs.provenance | {"parent_sha256": sha256_of(initial)}
     limit = inputs.matcher.config.fit.maximum_cycles
-    with scheduler(workers) as mapper, progress(f"fit {sensor}", total=limit) as bar:
+    with scheduler(workers) as mapper, progress(f"fit {selection.sensor}", total=limit) as bar:
         result = fit_batch(
             inputs.batches, parent, inputs.matcher, provenance, matches, mapper,
             lambda cycle: bar.advance(),

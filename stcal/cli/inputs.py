@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -33,15 +34,45 @@ CONFIG = click.option(
 WORKERS = click.option(
     "--workers", type=click.IntRange(1, 256), default=1, show_default=True, help="Threads."
 )
+MATCHING = click.option(
+    "--matching",
+    type=click.Choice(["lost-in-space", "guided"]),
+    default="lost-in-space",
+    show_default=True,
+    help="How the stars are identified.",
+)
 FROM = click.option("--from", "start", help="Use frames from this UTC time on.")
 TO = click.option("--to", "stop", help="Use frames before this UTC time.")
 
 
+@dataclass(frozen=True)
+class Selection:
+    """Which frames a command reads: one sensor's, of a time range, from a store."""
+
+    store: Path
+    sensor: str
+    config: Path | None
+    start: str | None
+    stop: str | None
+
+
 def store_options(function: F) -> F:
-    """Add the options of every command that reads one sensor's frames from a store."""
+    """Give a command ``--json``, ``--workers`` and the options of a :class:`Selection`."""
+
+    @wraps(function)
+    def command(
+        store: Path,
+        sensor: str,
+        config: Path | None,
+        start: str | None,
+        stop: str | None,
+        **others: Any,
+    ) -> Any:
+        return function(selection=Selection(store, sensor, config, start, stop), **others)
+
     for option in (JSON, WORKERS, TO, FROM, CONFIG, SENSOR, STORE):
-        function = option(function)
-    return function
+        command = option(command)
+    return command  # type: ignore[return-value]
 
 
 @dataclass(frozen=True)
@@ -53,9 +84,7 @@ class Inputs:
     provenance: dict[str, Any]
 
 
-def read_inputs(
-    store: Path, sensor: str, config: Path | None, start: str | None, stop: str | None
-) -> Inputs:
+def read_inputs(selection: Selection) -> Inputs:
     """Read a sensor's frames of a time range, its configuration and its catalogue."""
     from stcal.catalog.catalogue import catalogue_sha256, select
     from stcal.config import config_sha256
@@ -64,10 +93,10 @@ def read_inputs(
     from stcal.telemetry.store import Store, read_fragment
     from stcal.version import __version__
 
-    opened = Store.open(store)
-    limits = parse_time(start, "--from"), parse_time(stop, "--to")
+    opened, sensor = Store.open(selection.store), selection.sensor
+    limits = parse_time(selection.start, "--from"), parse_time(selection.stop, "--to")
     fragments = opened.fragments(sensor, *limits)
-    settings = load_settings(opened, sensor, config)
+    settings = load_settings(opened, sensor, selection.config)
     section = settings.catalogue
     full = load_catalogue(settings)
     chosen = select(full, section.limiting_magnitude, section.merge_separation_arcsec)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from stcal.cli.inputs import OUT, read_inputs, store_options
+from stcal.cli.inputs import MATCHING, OUT, Selection, read_inputs, store_options
 from stcal.cli.output import emit, progress
 
 if TYPE_CHECKING:
@@ -16,24 +16,14 @@ if TYPE_CHECKING:
 
 @click.command(name="match")
 @click.option("--calibration", required=True, type=click.Path(path_type=Path), help="Calibration.")
-@click.option(
-    "--matching",
-    type=click.Choice(["lost-in-space", "guided"]),
-    default="lost-in-space",
-    show_default=True,
-    help="How the stars are identified.",
-)
+@MATCHING
 @OUT
 @store_options
 def command(
     calibration: Path,
     matching: str,
     out: Path,
-    store: Path,
-    sensor: str,
-    config: Path | None,
-    start: str | None,
-    stop: str | None,
+    selection: Selection,
     workers: int,
     as_json: bool,
 ) -> None:
@@ -51,7 +41,7 @@ def command(
     from stcal.telemetry.matches import summary, write_attitudes, write_matches
 
     chosen = load(calibration)
-    inputs = read_inputs(store, sensor, config, start, stop)
+    inputs = read_inputs(selection)
     check_detector(chosen, inputs.matcher.config)
     task = partial(
         match, camera=chosen.camera, c_sd=chosen.c_sd, matcher=inputs.matcher, method=matching
@@ -64,7 +54,7 @@ def command(
     catalogue = inputs.matcher.catalogue
     write_matches(matched, catalogue, out / "matches.parquet")
     write_attitudes(matched, chosen.c_sd, out / "attitudes.parquet")
-    document = {"sensor_id": sensor, "matching": matching} | summary(matched)
+    document = {"sensor_id": selection.sensor, "matching": matching} | summary(matched)
     emit(document, as_json, lambda console: _table(document, console))
 
 

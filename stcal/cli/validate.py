@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from stcal.cli.fit import write_documents
-from stcal.cli.inputs import OUT, read_inputs, store_options
+from stcal.cli.inputs import MATCHING, OUT, Selection, read_inputs, store_options
 from stcal.cli.output import emit, progress
 
 if TYPE_CHECKING:
@@ -18,13 +18,7 @@ if TYPE_CHECKING:
 @click.command(name="validate")
 @click.option("--baseline", required=True, type=click.Path(path_type=Path), help="Old calibration.")
 @click.option("--candidate", required=True, type=click.Path(path_type=Path), help="New one.")
-@click.option(
-    "--matching",
-    type=click.Choice(["lost-in-space", "guided"]),
-    default="lost-in-space",
-    show_default=True,
-    help="How frames are rematched under both calibrations.",
-)
+@MATCHING
 @OUT
 @store_options
 def command(
@@ -32,11 +26,7 @@ def command(
     candidate: Path,
     matching: str,
     out: Path,
-    store: Path,
-    sensor: str,
-    config: Path | None,
-    start: str | None,
-    stop: str | None,
+    selection: Selection,
     workers: int,
     as_json: bool,
 ) -> None:
@@ -51,13 +41,13 @@ def command(
     from stcal.pipeline.validate import validate
 
     old, new = load(baseline), load(candidate)
-    inputs = read_inputs(store, sensor, config, start, stop)
+    inputs = read_inputs(selection)
     hashes = {
         **inputs.provenance,
         "baseline": sha256_of(baseline),
         "candidate": sha256_of(candidate),
     }
-    with scheduler(workers) as mapper, progress(f"validate {sensor}"):
+    with scheduler(workers) as mapper, progress(f"validate {selection.sensor}"):
         document = validate(inputs.batches, old, new, inputs.matcher, hashes, matching, mapper)
     write_documents(document, out / "validation.json", out / "report.html")
     if as_json and not document["verdict"]["accepted"]:

@@ -5,7 +5,6 @@ A value of another type than expected counts as not available: a report can alwa
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stcal.errors import InputError
+from stcal.reading import read_json_object
 
 FIT_SCHEMA = "stcal.fit/1"
 VALIDATION_SCHEMA = "stcal.validation/1"
@@ -31,14 +31,7 @@ def read_document(path: Path, schemas: tuple[str, ...]) -> dict[str, Any]:
     InputError
         Naming the file: unreadable, not JSON, not an object, or of another schema.
     """
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not JSON: {error}") from None
-    if not isinstance(document, dict):
-        raise InputError(f"{path}: the top level is not an object")
+    document = read_json_object(path)
     if document.get("schema") not in schemas:
         expected = " or ".join(map(repr, schemas))
         raise InputError(f"{path}: schema is {document.get('schema')!r}, expected {expected}")

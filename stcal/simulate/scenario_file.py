@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ from pydantic import ValidationError
 
 from stcal.config import SensorConfig, load_config
 from stcal.errors import ConfigError
+from stcal.reading import read_toml
 from stcal.simulate.scenario import PARTS, Scenario, cross_problems
 
 
@@ -21,13 +21,7 @@ def load_scenario(path: Path) -> Scenario:
     ConfigError
         Naming the file and every error in it and in the sensor's configuration.
     """
-    try:
-        with path.open("rb") as stream:
-            document = tomllib.load(stream)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: not TOML: {error}") from None
+    document = read_toml(path)
     problems: list[str] = []
     sensor = _sensor(document.get("sensor"), path.parent, problems)
     if sensor is not None:
