@@ -48,7 +48,8 @@ def ingest(
 ) -> IngestSummary:
     """Read downlink files into the store.
 
-    A file that cannot be used, or not whole, is reported in the summary and the others go on.
+    A file that cannot be used, or not whole, is reported in the summary and the others go on.  The
+    configurations are recorded in the store, where later commands find them.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ import pyarrow.json as arrow_json
 from stcal.frames import Ints
 from stcal.telemetry.block import Decoder, RowBlock
 from stcal.telemetry.columns import COLUMNS, OPTIONAL_COLUMNS, STAR_COLUMNS
-from stcal.telemetry.jsonl_lines import FRAME_KEYS, LISTS, STAR_KEYS, WHOLE_LINE, raw_of, read_lines
+from stcal.telemetry.jsonl_lines import LISTS, WHOLE_LINE, raw_of, read_line, read_lines
 from stcal.telemetry.sources import BLOCK_BYTES, LineBlock, LineReader, SourceFile, stream
 
 _BOM = b"\xef\xbb\xbf"
@@ -93,25 +93,18 @@ def _unfold(
     """Return (columns as text, line of every row, star within its line); None if Arrow balks."""
     if not lines:
         return {column.name: pa.array([], pa.string()) for column in COLUMNS}, _NONE, _NONE
-    try:
-        table = arrow_json.read_json(
-            io.BytesIO(b"\n".join(lines)),
-            read_options=arrow_json.ReadOptions(
-                use_threads=False, block_size=sum(map(len, lines)) + len(lines) + 1
-            ),
-            parse_options=arrow_json.ParseOptions(explicit_schema=_schema()),
-        )
-    # Text that is not UTF-8 fails in the making of Arrow's own message.
-    except (pa.ArrowException, UnicodeDecodeError):
-        return None
-    if table.num_rows != len(lines):
+    table = _parse(lines, "error")
+    if table is None:
+        table = _parse(lines, "ignore")
+        if table is not None:
+            _warn_unknown(lines, warn)
+    if table is None or table.num_rows != len(lines):
         return None
     frame = {name: table[name].combine_chunks() for name in table.column_names}
     stars = _stars(frame)
     if stars is None or not _regular_lists(frame):
         return None
     star_columns, line, star = stars
-    _warn_unknown(table.schema, warn)
     columns = {name: text.take(pa.array(line)) for name, text in _frame_texts(frame)}
     return columns | star_columns, line, star
 
@@ -162,14 +155,37 @@ def _frame_texts(frame: dict[str, Any]) -> Iterator[tuple[str, Any]]:
             yield name, pc.cast(pc.list_element(frame[key], i), pa.string())
 
 
-def _warn_unknown(schema: pa.Schema, warn: Callable[[str], None]) -> None:
-    exposure = schema.field("exposures").type.value_type
-    star = exposure.field("stars").type.value_type
-    unknown = [name for name in schema.names if name not in FRAME_KEYS]
-    unknown += [f.name for f in exposure if f.name not in ("exposure", "stars")]
-    unknown += [f.name for f in star if f.name not in STAR_KEYS]
-    for name in unknown:
-        warn(f"unknown key ignored: {name}")
+def _parse(lines: list[bytes], unknown_keys: str) -> pa.Table | None:
+    """Return the lines as Arrow reads them, or None; unknown keys are an error or ignored.
+
+    They must not be inferred: Arrow 26 then makes inconsistent arrays of some lists with nulls.
+    """
+    try:
+        table = arrow_json.read_json(
+            io.BytesIO(b"\n".join(lines)),
+            read_options=arrow_json.ReadOptions(
+                use_threads=False, block_size=sum(map(len, lines)) + len(lines) + 1
+            ),
+            parse_options=arrow_json.ParseOptions(
+                explicit_schema=_schema(), unexpected_field_behavior=unknown_keys
+            ),
+        )
+        table.validate(full=True)
+    # Text that is not UTF-8 fails in the making of Arrow's own message.
+    except (pa.ArrowException, UnicodeDecodeError):
+        return None
+    return table
+
+
+def _warn_unknown(lines: list[bytes], warn: Callable[[str], None]) -> None:
+    """Name the unknown keys of the first line that has any: the others will be like it."""
+    for line in lines:
+        found: list[str] = []
+        read_line(line, found.append)
+        if found:
+            for text in found:
+                warn(text)
+            return
 
 
 DECODER = Decoder("jsonl", (".jsonl", ".ndjson"), sniff, decode)

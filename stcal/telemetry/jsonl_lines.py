@@ -40,7 +40,7 @@ def read_lines(
     rejected: list[Rejection] = []
     for i, line in enumerate(lines):
         last = cut and i == len(lines) - 1
-        unfolded = _reject if last else _read_line(line, warn)
+        unfolded = _reject if last else read_line(line, warn)
         if isinstance(unfolded, list):
             rows += unfolded
             line_of += [i] * len(unfolded)
@@ -82,7 +82,7 @@ def raw_of(line: bytes, star: int) -> str:
         return text_of(line)
 
 
-def _read_line(line: bytes, warn: Callable[[str], None]) -> list[Row] | tuple[str, str]:
+def read_line(line: bytes, warn: Callable[[str], None]) -> list[Row] | tuple[str, str]:
     """Return the rows of one line, or (code, detail) of why it is refused."""
     try:
         text = line.decode("utf-8")

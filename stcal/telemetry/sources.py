@@ -227,20 +227,19 @@ class LineReader:
         wanted = self._block_bytes
         while self._kept or not self._done:
             self._fill(wanted)
-            if len(self._kept) <= wanted and self._done:
+            if self._done and len(self._kept) <= wanted:
                 end = len(self._kept)
             else:
                 end = self._kept.rfind(b"\n", 0, wanted) + 1
-            if end == 0 and self._kept:  # a line longer than what was asked for
-                wanted += self._block_bytes
-                continue
+                if end <= self._pushed:  # what was pushed back has to come with more behind it
+                    wanted += self._block_bytes
+                    continue
             data, self._kept = self._kept[:end], self._kept[end:]
             row, self._row = self._row, self._row + data.count(b"\n")
+            self._pushed = 0
             if data:
                 yield LineBlock(data, row, self._done and not self._kept)
-            # What was pushed back has to be seen with more behind it.
             wanted = self._block_bytes + self._pushed
-            self._pushed = 0
 
     def push_back(self, data: bytes) -> None:
         """Put the last lines of the block just yielded in front of the next one."""

@@ -1,0 +1,72 @@
+"""Files are read in blocks: where a block ends must not matter."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import telemetry_cases as cases
+
+from stcal.telemetry import csv, jsonl
+from stcal.telemetry.sources import LineReader, examine
+from stcal.telemetry.writer import write_csv, write_jsonl
+
+DECODE = {"a.csv": (write_csv, csv.decode), "a.jsonl": (write_jsonl, jsonl.decode)}
+
+
+def rows_of(blocks):
+    listed = []
+    for block in blocks:
+        names = sorted(block.columns)
+        texts = zip(*(block.columns[n].fill_null("").to_pylist() for n in names), strict=True)
+        raw = [block.raw(i) for i in range(len(block))]
+        listed += zip(block.row.tolist(), texts, raw, strict=True)
+    return listed
+
+
+@pytest.mark.parametrize("name", DECODE)
+@pytest.mark.parametrize("block_bytes", [1, 50, 333, 1000, 5000])
+def test_rows_do_not_depend_on_the_block_size(tmp_path, name, block_bytes):
+    write, decode = DECODE[name]
+    write([cases.batch(20)], tmp_path / name)
+    source = examine(tmp_path / name)
+    warnings: list[str] = []
+    whole = rows_of(decode(source, warnings.append))
+    parts = list(decode(source, warnings.append, block_bytes))
+    assert len(parts) > 1
+    assert rows_of(parts) == whole
+    assert warnings == []
+
+
+@pytest.mark.parametrize("block_bytes", [400, 1000, 5000])
+def test_a_frame_is_not_cut_between_blocks(tmp_path, block_bytes):
+    path = cases.write_rows(tmp_path / "a.csv", cases.frames(40))
+    text = path.read_text().splitlines()
+    text[50] = "broken"
+    path.write_text("\n".join(text) + "\n")
+    seen: list[str] = []
+    rejected = []
+    for block in csv.decode(examine(path), print, block_bytes):
+        ids = block.columns["frame_id"].to_pylist()
+        seen += [ids[i] for i in np.flatnonzero(np.diff(block.run, prepend=-1))]
+        rejected += block.rejected
+    assert seen == [str(f) for f in range(40)]
+    assert [(r.row, r.code) for r in rejected] == [(51, "ragged_row")]
+
+
+def test_a_frame_longer_than_the_limit_is_still_read(tmp_path):
+    path = cases.write_rows(tmp_path / "a.csv", cases.rows(150))
+    rows = [row for block in csv.decode(examine(path), print, 200) for row in block.row.tolist()]
+    assert rows == list(range(2, 152))
+
+
+def test_line_reader_counts_lines():
+    reader = LineReader(iter([b"head\nab", b"c\n\nde", b"f\nlast"]), 4)
+    assert reader.read_line() == b"head"
+    blocks = [(b.data, b.first_row, b.last) for b in reader.blocks()]
+    assert b"".join(data for data, _, _ in blocks) == b"abc\n\ndef\nlast"
+    assert blocks[0][1] == 2
+    assert blocks[-1][2]
+    row = 2
+    for data, first_row, _ in blocks:
+        assert first_row == row
+        row += data.count(b"\n")

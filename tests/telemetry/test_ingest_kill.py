@@ -1,0 +1,122 @@
+"""kill -9 at any moment: the store stays readable, and running again completes it."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+
+import telemetry_cases as cases
+
+from stcal.telemetry.store import Store
+
+CODE = """
+import sys
+from pathlib import Path
+from stcal.config import load_config
+from stcal.telemetry.ingest import ingest
+from stcal.telemetry.store import Store
+root, config, *files = map(Path, sys.argv[1:])
+print("ready", flush=True)
+ingest(files, Store.open(root, create=True), [load_config(config)], window_rows=60)
+"""
+
+
+def downloads(folder):
+    """Files over several days that overlap, differ and hold bad rows; windows cut them."""
+    table = [
+        row | {"time_utc": row["time_utc"].replace("-05T", f"-{5 + day:02d}T")}
+        for day in range(4)
+        for row in cases.frames(20)
+    ]
+    files = []
+    for k in range(6):
+        rng = random.Random(k)
+        part = [dict(row) for row in table if rng.random() < 0.9]
+        for row in rng.sample(part, 10):
+            row["row_px"] = "nan"
+        files.append(cases.write_rows(folder / f"{k}.csv", part))
+    return files
+
+
+def start(root, files):
+    config = cases.ROOT / "configs" / "st16.toml"
+    command = [sys.executable, "-c", CODE, str(root), str(config), *map(str, files)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    process.stdout.readline()
+    return process
+
+
+def frames_on_disk(root):
+    """Return the frames of a store that may not be finished; everything in it must be whole."""
+    if not (root / "store.json").exists():
+        return set()
+    store = Store.open(root)
+    store.quarantine()
+    if "ST16-1" not in store.sensors() or not store._days("ST16-1"):
+        return set()
+    frames = store.read_frames("ST16-1")
+    return set(zip(frames.frame_id.tolist(), frames.t_tai_ns.tolist(), strict=True))
+
+
+def test_killed_at_random_moments(tmp_path):
+    files = downloads(tmp_path)
+    began = time.monotonic()
+    process = start(tmp_path / "reference", files)
+    assert process.wait() == 0
+    took = time.monotonic() - began
+    reference = cases.snapshot(tmp_path / "reference")
+    rng = random.Random(0)
+    root, killed, known = tmp_path / "store", 0, set()
+    for attempt in range(10):
+        process = start(root, files)
+        # Import takes part of the time; the marker tells that work has begun.
+        time.sleep(rng.uniform(0, 0.4 * took) if attempt else 0.02)
+        process.send_signal(signal.SIGKILL)
+        killed += process.wait() == -signal.SIGKILL
+        now = frames_on_disk(root)
+        assert known <= now, "frames were lost"
+        known = now
+    assert killed >= 5
+    assert start(root, files).wait() == 0
+    assert cases.snapshot(root) == reference
+    assert not [path for path in root.rglob(".stcal-*") if os.path.exists(path)]
+
+
+def test_killed_at_every_replacement(tmp_path, monkeypatch):
+    """Stop after the k-th file that appears, for every k: what a kill there would leave."""
+    from stcal import atomic
+
+    files = downloads(tmp_path)[:2]
+    reference, _ = cases.run(tmp_path / "reference", *files, window_rows=60)
+    write = atomic.write_with
+    steps = 0
+    while True:
+        left = [steps]
+
+        def counted(path, writer, left=left):
+            if left[0] == 0:
+                raise KeyboardInterrupt
+            left[0] -= 1
+            write(path, writer)
+
+        monkeypatch.setattr(atomic, "write_with", counted)
+        folder = tmp_path / str(steps)
+        finished = True
+        try:
+            cases.run(folder, *files, window_rows=60)
+        except KeyboardInterrupt:
+            finished = False
+        monkeypatch.setattr(atomic, "write_with", write)
+        frames = frames_on_disk(folder / "store")
+        refused = sum(r["rows"] for r in cases.records(Store(folder / "store"))) if frames else 0
+        assert not frames or refused > 0, "frames came before their quarantine"
+        cases.run(folder, *files, window_rows=60)
+        assert cases.snapshot(folder / "store") == cases.snapshot(reference.root)
+        if finished:
+            break
+        steps += 1
+    assert steps > 8

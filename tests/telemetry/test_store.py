@@ -1,0 +1,178 @@
+"""The store on disk: layout, fragments, versions, locks, damage."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import subprocess
+import sys
+
+import pyarrow.parquet as pq
+import pytest
+import telemetry_cases as cases
+
+from stcal.errors import InputError
+from stcal.frames import concatenate
+from stcal.telemetry.store import Store, read_fragment
+from stcal.telemetry.writer import write_csv
+from stcal.times import parse_utc
+
+
+@pytest.fixture
+def filled(tmp_path):
+    frames = cases.batch(200)
+    write_csv([frames], tmp_path / "a.csv", decimals=None)
+    store, _ = cases.run(tmp_path, tmp_path / "a.csv")
+    return store, frames
+
+
+def test_partitions_by_sensor_and_utc_day(filled):
+    store, _ = filled
+    paths = sorted(str(p.relative_to(store.root)) for p in store.root.glob("frames/**/*.parquet"))
+    days = ["2026-01-05", "2026-01-06", "2026-01-07", "2026-01-08"]
+    assert paths == [f"frames/sensor=ST16-1/day={day}/frames.parquet" for day in days]
+    assert json.loads((store.root / "store.json").read_text()) == {
+        "schema": "stcal.store",
+        "version": 1,
+    }
+
+
+def test_a_leap_second_belongs_to_the_day_it_ends(tmp_path):
+    times = ("2016-12-31T23:59:59Z", "2016-12-31T23:59:60.5Z", "2017-01-01T00:00:00Z")
+    table = [cases.ROW | {"frame_id": str(i), "time_utc": t} for i, t in enumerate(times)]
+    store, summary = cases.run(tmp_path, cases.write_rows(tmp_path / "a.csv", table))
+    assert summary.exit_code == 0
+    assert [(f.day, f.frames) for f in store.fragments("ST16-1")] == [
+        ("2016-12-31", 2),
+        ("2017-01-01", 1),
+    ]
+    assert store.read_frames("ST16-1").t_tai_ns.tolist() == [parse_utc(t) for t in times]
+    inside = store.read_frames("ST16-1", parse_utc(times[1]), parse_utc(times[2]))
+    assert inside.frame_id.tolist() == [1]
+
+
+def test_names_cannot_leave_the_store(tmp_path):
+    names = ["ST16-../../x", "ST16-a/b", "ST16-é %", "ST16-.."]
+    table = [cases.ROW | {"sensor_id": name} for name in names]
+    store, summary = cases.run(tmp_path, cases.write_rows(tmp_path / "a.csv", table))
+    assert summary.exit_code == 0
+    assert store.sensors() == sorted(names)
+    for name in names:
+        assert store.read_frames(name).n_frames == 1
+    assert {path.parent.name for path in store.root.glob("frames/*/*")} == {
+        path.name for path in (store.root / "frames").iterdir()
+    }
+
+
+def test_time_ranges_are_half_open(filled):
+    store, frames = filled
+    start, stop = int(frames.t_tai_ns[50]), int(frames.t_tai_ns[130])
+    cases.assert_same_frames(
+        store.read_frames("ST16-1", start, stop),
+        frames.take((frames.frame_id // 1 >= 50) & (frames.frame_id < 130)),
+    )
+
+
+@pytest.mark.parametrize("maximum", [1, 7, 33, 1000])
+def test_fragments_are_a_partition_in_time_order(filled, maximum):
+    store, frames = filled
+    start = int(frames.t_tai_ns[10])
+    fragments = store.fragments("ST16-1", start_tai_ns=start, maximum_frames=maximum)
+    assert max(fragment.frames for fragment in fragments) <= maximum
+    assert fragments == pickle.loads(pickle.dumps(fragments))
+    joined = concatenate([read_fragment(fragment) for fragment in fragments])
+    cases.assert_same_frames(joined, frames.take(frames.frame_id >= 10))
+
+
+def test_fragments_across_row_groups(tmp_path, monkeypatch):
+    monkeypatch.setattr("stcal.telemetry.store._ROW_GROUP_FRAMES", 16)
+    frames = cases.batch(78)
+    write_csv([frames], tmp_path / "a.csv", decimals=None)
+    store, _ = cases.run(tmp_path, tmp_path / "a.csv")
+    for maximum in (5, 16, 17, 100):
+        parts = [read_fragment(f) for f in store.fragments("ST16-1", maximum_frames=maximum)]
+        cases.assert_same_frames(concatenate(parts), frames)
+
+
+def test_what_is_not_there_is_said(filled):
+    store, frames = filled
+    with pytest.raises(InputError, match=r"'ST16-9'; sensors in the store: ST16-1"):
+        store.read_frames("ST16-9")
+    with pytest.raises(InputError, match="from 2026-01-05 to 2026-01-08"):
+        store.fragments("ST16-1", start_tai_ns=int(frames.t_tai_ns[-1]) + 1)
+    with pytest.raises(InputError, match="no stcal store here"):
+        Store.open(store.root / "frames")
+
+
+def test_newer_versions_are_refused(filled):
+    store, _ = filled
+    path = next(store.root.glob("frames/*/*/*.parquet"))
+    table = pq.ParquetFile(path).read()
+    pq.write_table(table.replace_schema_metadata({"schema": "stcal.frames", "version": "2"}), path)
+    with pytest.raises(InputError, match=rf"{path.name}: written with schema version 2"):
+        store.read_frames("ST16-1")
+    (store.root / "store.json").write_text('{"schema": "stcal.store", "version": 2}')
+    for create in (False, True):
+        with pytest.raises(InputError, match="store version 2, this stcal reads up to 1"):
+            Store.open(store.root, create=create)
+    (store.root / "store.json").write_text("{")
+    with pytest.raises(InputError, match="not the marker"):
+        Store.open(store.root)
+
+
+def test_foreign_folders_are_not_taken_over(tmp_path):
+    (tmp_path / "thesis.tex").write_text("")
+    with pytest.raises(InputError, match="neither a store nor empty"):
+        Store.open(tmp_path, create=True)
+    with pytest.raises(InputError, match="is not a folder"):
+        Store.open(tmp_path / "thesis.tex", create=True)
+
+
+def test_damaged_fragments_are_named(filled, tmp_path):
+    store, _ = filled
+    path = sorted(store.root.glob("frames/*/*/*.parquet"))[1]
+    path.write_bytes(path.read_bytes()[:-20])
+    for action in (
+        lambda: store.read_frames("ST16-1"),
+        lambda: cases.run(tmp_path, tmp_path / "a.csv"),
+    ):
+        with pytest.raises(InputError, match=r"2026-01-06/frames\.parquet: damaged"):
+            action()
+
+
+def test_a_store_that_changes_under_a_reader(filled, tmp_path):
+    store, _ = filled
+    fragments = store.fragments("ST16-1")
+    other = cases.write_rows(tmp_path / "b.csv", cases.rows(1, frame_id="999"))
+    cases.run(tmp_path, other)
+    with pytest.raises(InputError, match="changed while it was read"):
+        read_fragment(fragments[0])
+
+
+def test_only_one_process_writes(filled, tmp_path):
+    store, _ = filled
+    code = (
+        "import sys; from pathlib import Path; from stcal.telemetry.store import Store\n"
+        "with Store(Path(sys.argv[1])).lock():\n"
+        "    print('held', flush=True); sys.stdin.read()"
+    )
+    command = [sys.executable, "-c", code, str(store.root)]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as process:
+        assert process.stdout.readline() == "held\n"
+        with pytest.raises(InputError, match=f"process {process.pid} is writing"):
+            cases.run(tmp_path, tmp_path / "a.csv")
+        process.kill()
+    with store.lock():
+        assert (store.root / ".lock").read_text() == str(os.getpid())
+    cases.run(tmp_path, tmp_path / "a.csv")
+
+
+def test_remains_of_a_killed_writer_are_cleared(filled):
+    store, _ = filled
+    left = [store.root / ".stcal-1", store.root / "frames" / "sensor=ST16-1" / ".stcal-2"]
+    for path in left:
+        path.write_text("")
+    with store.lock():
+        assert not any(path.exists() for path in left)
