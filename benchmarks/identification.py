@@ -24,7 +24,9 @@ def angles(c: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return np.arccos(np.clip((trace - 1.0) / 2.0, -1.0, 1.0))
 
 
-def run_stcal(images: Images, matcher: Matcher, method: str, hints: np.ndarray | None) -> dict:
+def run_stcal(
+    images: Images, matcher: Matcher, method: str, hints: np.ndarray | None
+) -> tuple[MatchedFrames, dict]:
     frames = images.frames
     arguments = (frames, nominal_camera(), np.eye(3), matcher, method, hints)
     match(*arguments)
@@ -33,7 +35,8 @@ def run_stcal(images: Images, matcher: Matcher, method: str, hints: np.ndarray |
         start = time.perf_counter()
         matched = match(*arguments)
         times.append(time.perf_counter() - start)
-    return score(matched, images) | {"us": 1e6 * float(np.median(times)) / frames.n_frames}
+    us = 1e6 * float(np.median(times)) / frames.n_frames
+    return matched, score(matched, images) | {"us": us}
 
 
 def score(matched: MatchedFrames, images: Images) -> dict:
@@ -46,6 +49,15 @@ def score(matched: MatchedFrames, images: Images) -> dict:
         "matched": int(found.sum()),
         "false_matches": int((found & (matched.star != images.truth)).sum()),
     }
+
+
+def disagreements(lost: MatchedFrames, guided: MatchedFrames) -> np.ndarray:
+    """Return the exposures (one a frame here) in which the two methods differ in any star."""
+    frames = lost.frames
+    differing = np.bincount(
+        frames.exposure_of_star, lost.star != guided.star, minlength=frames.n_exposures
+    )
+    return np.flatnonzero((differing > 0) | (lost.solved != guided.solved)) // 2
 
 
 def hints_near(images: Images, seed: int) -> np.ndarray:
@@ -114,9 +126,11 @@ def main() -> None:
     matcher, peer, rows = Matcher(catalogue, config), make_peer(), []
     for k, scene in enumerate(SCENES):
         images = make_images(scene, arguments.exposures, catalogue, arguments.seed + k)
-        lost = run_stcal(images, matcher, "lost-in-space", None)
-        guided = run_stcal(images, matcher, "guided", hints_near(images, k))
-        row = {"scene": scene.name, "lost": lost, "guided": guided}
+        lost_matched, lost = run_stcal(images, matcher, "lost-in-space", None)
+        guided_matched, guided = run_stcal(images, matcher, "guided", hints_near(images, k))
+        differ = disagreements(lost_matched, guided_matched)
+        agree = 1.0 - len(differ) / arguments.exposures
+        row = {"scene": scene.name, "lost": lost, "guided": guided, "agreement": agree}
         line = (
             f"{scene.name:52s} stars {images.frames.n_stars / arguments.exposures:5.1f}  "
             f"lost {lost['us']:6.1f} us {lost['solved']:.4f} wrong {lost['wrong']} "
@@ -133,6 +147,8 @@ def main() -> None:
             )
         rows.append(row)
         print(line, flush=True)
+        print(f"{'':52s} the methods agree on every star in {agree:.2%} of exposures", end="")
+        print(f"; not in exposures {differ.tolist()}" if len(differ) else "", flush=True)
     if arguments.json:
         arguments.json.write_text(json.dumps(rows, indent=1))
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from stcal.attitude import attitudes_from_quaternions, residual_angles, solve_wahba
 from stcal.cameras import Camera
-from stcal.catalog.apparent import Observer, apparent_directions, observer_at
+from stcal.catalog.apparent import apparent_directions, observer_at
 from stcal.catalog.catalogue import StarCatalogue
 from stcal.config import Matching, SensorConfig
 from stcal.constants import DEG, EXPOSURES_PER_FRAME, URAD
@@ -106,10 +106,10 @@ def match(
     config = matcher.config
     s_d = camera.directions(frames.row_px, frames.col_px)
     observer = observer_at(frames.t_tai_ns, frames.pos_km, frames.vel_km_s)
-    star = np.full(frames.n_stars, -1, np.int32)
-    c_di = np.full((frames.n_exposures, 3, 3), np.nan)
-    reason = np.zeros(frames.n_exposures, np.int8)
-    order = brightness_order(frames)
+    star = np.empty(frames.n_stars, np.int32)
+    s_i, residual = np.empty((frames.n_stars, 3)), np.empty(frames.n_stars)
+    c_di = np.empty((frames.n_exposures, 3, 3))
+    reason = np.empty(frames.n_exposures, np.int8)
     start = chosen.hints(frames, hints, c_sd)
     rows = observer.rows
     for year, stretch in _by_year(observer.years):
@@ -117,11 +117,11 @@ def match(
         a, b = frames.star_offsets[first], frames.star_offsets[last]
         sky, rule, work = _kernel_input(matcher.index(year), config.matching, frames, first, last)
         kernels.identify(
-            frames.star_offsets[first : last + 1] - a, s_d[a:b], order[a:b], rows[stretch],
-            start[first:last], chosen.guided, True, sky, rule, work,
-            star[a:b], c_di[first:last], reason[first:last], np.empty(last - first, np.int8),
+            frames.star_offsets[first : last + 1] - a, s_d[a:b], frames.intensity[a:b],
+            rows[stretch], start[first:last], chosen.guided, sky, rule, work,
+            star[a:b], s_i[a:b], residual[a:b], c_di[first:last], reason[first:last],
         )  # fmt: skip
-    return _matched(frames, s_d, star, reason, matcher.catalogue, observer)
+    return MatchedFrames(frames, star, s_i, reason == 0, reason, c_di, residual)
 
 
 def rematch_given(
@@ -136,7 +136,18 @@ def rematch_given(
     star = np.where((count >= 3)[frames.exposure_of_star], star, np.int32(-1)).astype(np.int32)
     reason = np.where(count >= 3, 0, 1).astype(np.int8)
     observer = observer_at(frames.t_tai_ns, frames.pos_km, frames.vel_km_s)
-    return _matched(frames, s_d, star, reason, catalogue, observer)
+    matched = np.flatnonzero(star >= 0)
+    exposure = frames.exposure_of_star[matched]
+    s_i = np.full((frames.n_stars, 3), np.nan)
+    s_i[matched] = apparent_directions(
+        catalogue, star[matched].astype(np.int64), exposure // EXPOSURES_PER_FRAME, observer
+    )
+    weight = np.ones(len(matched))
+    c_di = solve_wahba(s_d[matched], s_i[matched], weight, exposure, frames.n_exposures)
+    c_di[count < 3] = np.nan
+    residual = np.full(frames.n_stars, np.nan)
+    residual[matched] = residual_angles(s_d[matched], s_i[matched], c_di[exposure])
+    return MatchedFrames(frames, star, s_i, count >= 3, reason, c_di, residual)
 
 
 def telemetered_matches(frames: FrameBatch, catalogue: StarCatalogue) -> NDArray[np.int32]:
@@ -146,16 +157,6 @@ def telemetered_matches(frames: FrameBatch, catalogue: StarCatalogue) -> NDArray
     place = np.minimum(np.searchsorted(ids, frames.star_id), len(ids) - 1)
     known = (frames.star_id != 0) & (ids[place] == frames.star_id)
     return np.where(known, order[place], -1).astype(np.int32)
-
-
-def brightness_order(frames: FrameBatch) -> NDArray[np.int32]:
-    """(S,) ranks: the detections of each exposure from bright to faint, as indices into it.
-
-    Detections without intensity come last, in the order of the telemetry.
-    """
-    brightness = np.where(np.isfinite(frames.intensity), frames.intensity, -np.inf)
-    order = np.lexsort((-brightness, frames.exposure_of_star))
-    return (order - frames.star_offsets[frames.exposure_of_star]).astype(np.int32)
 
 
 def _by_year(years: Floats) -> list[tuple[int, slice]]:
@@ -191,27 +192,3 @@ def _kernel_input(
     largest = int(frames.stars_per_exposure[first:last].max(initial=1))
     work = kernels.make_work(len(index.parallax), largest, pairs, rules.seed_stars)
     return sky, rule, work
-
-
-def _matched(
-    frames: FrameBatch,
-    s_d: Floats,
-    star: NDArray[np.int32],
-    reason: NDArray[np.int8],
-    catalogue: StarCatalogue,
-    observer: Observer,
-) -> MatchedFrames:
-    """Solve the attitudes of matched exposures and collect the columns."""
-    matched = np.flatnonzero(star >= 0)
-    exposure = frames.exposure_of_star[matched]
-    s_i = np.full((frames.n_stars, 3), np.nan)
-    s_i[matched] = apparent_directions(
-        catalogue, star[matched].astype(np.int64), exposure // EXPOSURES_PER_FRAME, observer
-    )
-    weight = np.ones(len(matched))
-    c_di = solve_wahba(s_d[matched], s_i[matched], weight, exposure, frames.n_exposures)
-    solved = reason == 0
-    c_di[~solved] = np.nan
-    residual = np.full(frames.n_stars, np.nan)
-    residual[matched] = residual_angles(s_d[matched], s_i[matched], c_di[exposure])
-    return MatchedFrames(frames, star, s_i, solved, reason, c_di, residual)

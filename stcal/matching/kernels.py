@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from stcal.catalog.apparent_kernels import apparent_place
 from stcal.matching.seed_kernels import (
-    BY_HINT,
-    BY_NOTHING,
-    BY_TRIAD,
     NO_MATCH,
     SOLVED,
     TOO_FEW_STARS,
     solve_guided,
     solve_lost_in_space,
 )
+from stcal.matching.verify_kernels import rotate
 
 
 class Sky(NamedTuple):
@@ -82,26 +82,41 @@ def make_work(catalogue_stars: int, largest_exposure: int, pairs: int, seeds: in
 
 @njit(cache=True, nogil=True)
 def identify(
-    offsets, s_d, order, observers, hints, guided, lost, sky, rule, work, star, c_di, status, method
+    offsets,
+    s_d,
+    intensity,
+    observers,
+    hints,
+    guided,
+    sky,
+    rule,
+    work,
+    star,
+    s_i,
+    residual,
+    c_di,
+    status,
 ):
-    """Identify the exposures of a batch; the last four arguments are filled.
+    """Identify the exposures of a batch; the last five arguments are filled.
 
-    offsets (E + 1,); s_d (S, 3); order (S,) brightest first within each exposure; observers
-    (F, 10); hints (E, 3, 3), NaN where there is none.  ``guided``: start from the hint, or from
-    the first exposure's solution for the second of a frame.  ``lost``: identify lost in space
-    what no hint has solved.
+    offsets (E + 1,); s_d (S, 3); intensity (S,), NaN where unknown; observers (F, 10); hints
+    (E, 3, 3), NaN where there is none.  ``guided``: start from the hint, or from the first
+    exposure's solution for the second of a frame, before identifying lost in space.
     """
     hint = np.empty((3, 3))
+    order = np.empty(work.distance2.shape[0], np.int64)
     for e in range(offsets.shape[0] - 1):
         first, last = offsets[e], offsets[e + 1]
         mine = star[first:last]
         mine[:] = -1
+        s_i[first:last] = np.nan
+        residual[first:last] = np.nan
         c_di[e, :, :] = np.nan
-        method[e] = BY_NOTHING
         if last - first < rule.minimum_matches:
             status[e] = TOO_FEW_STARS
             continue
-        exposure, ranks, observer = s_d[first:last], order[first:last], observers[e // 2]
+        exposure, ranks, observer = s_d[first:last], order[: last - first], observers[e // 2]
+        brightest_first(intensity[first:last], ranks)
         found, c = 0, np.empty((3, 3))
         if guided:
             hint[:, :] = hints[e]
@@ -109,13 +124,39 @@ def identify(
                 hint[:, :] = c_di[e - 1]
             if not np.isnan(hint[0, 0]):
                 found = solve_guided(exposure, ranks, hint, observer, sky, rule, work, mine, c)
-                method[e] = BY_HINT
-        if found == 0 and lost:
-            found = solve_lost_in_space(exposure, ranks, observer, sky, rule, work, mine, c)
-            method[e] = BY_TRIAD
         if found == 0:
-            method[e] = BY_NOTHING
-            status[e] = NO_MATCH
-        else:
-            status[e] = SOLVED
+            found = solve_lost_in_space(exposure, ranks, observer, sky, rule, work, mine, c)
+        status[e] = SOLVED if found > 0 else NO_MATCH
+        if found > 0:
             c_di[e, :, :] = c
+            _describe(exposure, c, observer, sky, mine, s_i[first:last], residual[first:last])
+
+
+@njit(cache=True, nogil=True)
+def brightest_first(intensity, order):
+    """Fill ``order`` with the detections from bright to faint, unknown ones last; stable."""
+    for k in range(intensity.shape[0]):
+        place = k
+        while place > 0 and (
+            intensity[k] > intensity[order[place - 1]]
+            or (np.isnan(intensity[order[place - 1]]) and not np.isnan(intensity[k]))
+        ):
+            order[place] = order[place - 1]
+            place -= 1
+        order[place] = k
+
+
+@njit(cache=True, nogil=True)
+def _describe(s, c, observer, sky, star, s_i, residual):
+    """Fill the apparent places of the matched stars and their departures from the attitude."""
+    b = np.empty(3)
+    for k in range(s.shape[0]):
+        found = star[k]
+        if found >= 0:
+            apparent_place(
+                sky.direction[found], sky.motion[found], sky.parallax[found], observer, s_i[k]
+            )
+            rotate(c, s_i[k], b)
+            residual[k] = math.sqrt(
+                (b[0] - s[k, 0]) ** 2 + (b[1] - s[k, 1]) ** 2 + (b[2] - s[k, 2]) ** 2
+            )

@@ -16,7 +16,6 @@ from stcal.matching.verify_kernels import (
 )
 
 SOLVED, TOO_FEW_STARS, NO_MATCH = 0, 1, 2
-BY_NOTHING, BY_HINT, BY_TRIAD = 0, 1, 2
 
 _SHORTEST_ARC = 0.01
 _TRIALS = 150

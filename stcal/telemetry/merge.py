@@ -116,6 +116,7 @@ class _Contest:
                 self._set_source(equal[0], source)
                 outcome[equal] = Outcome.DUPLICATE
                 outcome[equal[0]] = Outcome.REPLACED if from_store else Outcome.NEW
+                lost.pop((int(self.frames.frames.frame_id[equal[0]]), digest), None)
             else:
                 outcome[equal] = Outcome.CONFLICT
                 self._record(equal[0], digest, source, lost)

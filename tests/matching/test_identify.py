@@ -6,7 +6,8 @@ from conftest import simulation, st16_config, st16_matcher
 from scipy.spatial.transform import Rotation
 
 from stcal.matching import METHODS, REASONS, Matcher, match
-from stcal.matching.identify import brightness_order, rematch_given, telemetered_matches
+from stcal.matching.identify import rematch_given, telemetered_matches
+from stcal.matching.kernels import brightest_first
 
 
 def wrong_matches(part, matched):
@@ -155,16 +156,23 @@ def test_telemetered_matches_and_their_attitudes():
     np.testing.assert_allclose(solved.c_di[both], again.c_di[both], atol=1e-9)
 
 
-def test_brightness_order_ranks_within_exposures():
-    data = simulation(4, 41, 40)
+def test_brightness_order_ranks_known_intensities_first():
+    rng = np.random.default_rng(1)
+    for count in (0, 1, 2, 40):
+        intensity = rng.integers(0, 12, count).astype(float)
+        intensity[::7] = np.nan
+        order = np.empty(count, np.int64)
+        brightest_first(intensity, order)
+        key = np.where(np.isnan(intensity), np.inf, -intensity)
+        assert order.tolist() == np.argsort(key, kind="stable").tolist()
+
+
+def test_the_kernels_attitude_is_the_wahba_solution():
+    data = simulation(1, 42, 60)
     frames = data.calibration.frames
-    intensity = frames.intensity.copy()
-    intensity[::7] = np.nan
-    order = brightness_order(replace(frames, intensity=intensity))
-    for e in range(0, frames.n_exposures, 9):
-        first, last = frames.star_offsets[e], frames.star_offsets[e + 1]
-        ranked = intensity[first:last][order[first:last]]
-        known = ranked[np.isfinite(ranked)]
-        assert (np.diff(known) <= 0).all()
-        assert np.isnan(ranked[len(known) :]).all()
-        assert sorted(order[first:last]) == list(range(last - first))
+    matched = match(frames, data.initial.camera, np.eye(3), st16_matcher())
+    again = rematch_given(frames, data.initial.camera, st16_matcher().catalogue, matched.star)
+    assert np.array_equal(matched.solved, again.solved)
+    np.testing.assert_allclose(matched.c_di, again.c_di, atol=1e-12)
+    np.testing.assert_allclose(matched.s_i, again.s_i, atol=1e-15)
+    np.testing.assert_allclose(matched.residual, again.residual, atol=1e-12)
