@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
 
 Floats = NDArray[np.float64]
 
@@ -24,6 +25,7 @@ PixelGuess = Callable[[Floats, float, Floats], tuple[Floats, Floats]]
 _INVERSE_TOLERANCE_PX = 1e-11
 _INVERSE_ITERATIONS = 50
 _SLOPE_STEP_RAD = 1e-4
+_SLOPE_NODES = 25
 
 
 @dataclass(frozen=True)
@@ -96,22 +98,28 @@ class Camera:
     def noise_scale_slopes(self, m: Floats, n: Floats) -> Floats:
         """Return (S, P) derivatives of log(noise_scale) by the parameters.
 
-        Central differences over steps that move directions by some 0.1 mrad; the scale is so
-        smooth that this is good to a part in a thousand.
+        Central differences over steps that move directions by some 0.1 mrad, on a grid over the
+        detector with linear interpolation: the slopes are smooth, and they only correct R.
         """
-        squares = (self.jacobian(m, n)[1] ** 2).sum(axis=1)
-        moved = np.sqrt(squares.sum(axis=0) / max(len(m), 1))
-        slopes = np.zeros((len(m), len(moved)))
+        axes = [np.linspace(-0.5, size - 0.5, _SLOPE_NODES) for size in (self.rows, self.cols)]
+        grid_m, grid_n = (g.ravel() for g in np.meshgrid(*axes, indexing="ij"))
+        moved = np.sqrt((self.jacobian(grid_m, grid_n)[1] ** 2).sum(axis=1).mean(axis=0))
+        slopes = np.zeros((len(grid_m), len(moved)))
         for p in np.flatnonzero(moved > 0):
-            step = _SLOPE_STEP_RAD / moved[p]
             offset = np.zeros(len(moved))
-            offset[p] = step
+            offset[p] = _SLOPE_STEP_RAD / moved[p]
             up, down = (
-                self.with_parameters(self.parameters + sign * offset).noise_scale(m, n)
+                self.with_parameters(self.parameters + sign * offset).noise_scale(grid_m, grid_n)
                 for sign in (1.0, -1.0)
             )
-            slopes[:, p] = np.log(up / down) / (2.0 * step)
-        return slopes
+            slopes[:, p] = np.log(up / down) / (2.0 * offset[p])
+        table = RegularGridInterpolator(
+            axes,
+            slopes.reshape(_SLOPE_NODES, _SLOPE_NODES, -1),
+            bounds_error=False,
+            fill_value=None,
+        )
+        return np.asarray(table(np.stack([m, n], axis=1)))
 
     def project(self, s_d: Floats) -> tuple[Floats, Floats]:
         """Return centroids (m, n) in pixels of directions s_d (S, 3): the exact inverse map.

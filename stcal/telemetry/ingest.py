@@ -95,7 +95,7 @@ def _ingest_file(path: Path, store: Store, sensors: Sensors, window_rows: int) -
         parts += _commit(window, number, source, store, sensors, summary)
     if summary.error is not None:
         return summary
-    pass
+    quarantine.remove_other_parts(store.root, source.sha256, parts)
     if summary.counts.rows == 0:
         warnings.append("the file holds no rows")
     if source.truncated:

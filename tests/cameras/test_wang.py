@@ -100,3 +100,16 @@ def test_axes_follow_rows_and_columns():
     assert s[1, 1] > 0
     assert s[1, 0] == 0
     assert ray(NOMINAL, 2.2e-6, np.array([5.0]), np.array([5.0]))[0, 2] == 0.016
+
+
+def test_noise_scale_slopes_are_its_derivatives(st16_camera):
+    rng = np.random.default_rng(2)
+    m, n = rng.uniform(0, 1943, 300), rng.uniform(0, 2591, 300)
+    slopes = st16_camera.noise_scale_slopes(m, n)
+    x = st16_camera.parameters
+    for k, sigma in enumerate(SIGMA):
+        step = np.zeros(8)
+        step[k] = 0.05 * sigma
+        up, down = (camera(x + sign * step).noise_scale(m, n) for sign in (1, -1))
+        numeric = np.log(up / down) / 0.1
+        np.testing.assert_allclose(slopes[:, k] * sigma, numeric, atol=1e-2 * np.abs(numeric).max())
