@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import RegularGridInterpolator
+from scipy.ndimage import map_coordinates
 
 Floats = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ PixelGuess = Callable[[Floats, float, Floats], tuple[Floats, Floats]]
 _INVERSE_TOLERANCE_PX = 1e-11
 _INVERSE_ITERATIONS = 50
 _SLOPE_STEP_RAD = 1e-4
-_SLOPE_NODES = 25
+_SLOPE_NODES = 33
 
 
 @dataclass(frozen=True)
@@ -113,13 +113,15 @@ class Camera:
                 for sign in (1.0, -1.0)
             )
             slopes[:, p] = np.log(up / down) / (2.0 * offset[p])
-        table = RegularGridInterpolator(
-            axes,
-            slopes.reshape(_SLOPE_NODES, _SLOPE_NODES, -1),
-            bounds_error=False,
-            fill_value=None,
-        )
-        return np.asarray(table(np.stack([m, n], axis=1)))
+        place = [
+            (value + 0.5) * (_SLOPE_NODES - 1) / size
+            for value, size in ((m, self.rows), (n, self.cols))
+        ]
+        columns = [
+            map_coordinates(column.reshape(_SLOPE_NODES, -1), place, order=1, mode="nearest")
+            for column in slopes.T
+        ]
+        return np.stack(columns, axis=1)
 
     def project(self, s_d: Floats) -> tuple[Floats, Floats]:
         """Return centroids (m, n) in pixels of directions s_d (S, 3): the exact inverse map.

@@ -27,7 +27,7 @@ def content_bytes(frames: FrameBatch) -> tuple[Bytes, Bytes]:
     star_numbers = np.column_stack([frames.row_px, frames.col_px, frames.intensity])
     frame_bytes = np.hstack([_bytes_of(whole), _bytes_of(_canonical(numbers))])
     star_bytes = np.hstack(
-        [_bytes_of(_canonical(star_numbers)), _bytes_of(0 * frames.star_id.reshape(-1, 1))]
+        [_bytes_of(_canonical(star_numbers)), _bytes_of(frames.star_id.reshape(-1, 1))]
     )
     return frame_bytes, star_bytes
 

@@ -112,4 +112,4 @@ def test_noise_scale_slopes_are_its_derivatives(st16_camera):
         step[k] = 0.05 * sigma
         up, down = (camera(x + sign * step).noise_scale(m, n) for sign in (1, -1))
         numeric = np.log(up / down) / 0.1
-        np.testing.assert_allclose(slopes[:, k] * sigma, numeric, atol=1e-2 * np.abs(numeric).max())
+        np.testing.assert_allclose(slopes[:, k] * sigma, numeric, atol=5e-3 * np.abs(numeric).max())
