@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +14,8 @@ from hypothesis import strategies as st
 
 from stcal.config import SensorConfig, load_config
 from stcal.frames import FrameBatch
+from stcal.telemetry import csv, jsonl
+from stcal.telemetry.decoders import DECODERS
 from stcal.telemetry.ingest import ingest
 from stcal.telemetry.store import Store
 from stcal.telemetry.summary import IngestSummary
@@ -54,6 +60,19 @@ def run(tmp_path: Path, *files: Path, **options: object) -> tuple[Store, IngestS
     store = Store.open(tmp_path / "store", create=True)
     configs = options.pop("configs", None) or [config()]
     return store, ingest(list(files), store, configs, **options)
+
+
+@contextmanager
+def small_blocks(block_bytes: int) -> Iterator[None]:
+    """Let files be read in blocks of this size, so that windows end within them."""
+    whole = dict(DECODERS)
+    for name, module in (("csv", csv), ("jsonl", jsonl)):
+        decode = partial(module.decode, block_bytes=block_bytes)
+        DECODERS[name] = replace(whole[name], decode=decode)
+    try:
+        yield
+    finally:
+        DECODERS.update(whole)
 
 
 def rows(n: int, **changes: str) -> list[dict[str, str]]:

@@ -353,6 +353,17 @@ def test_a_broken_star_in_json_costs_that_star_only(tmp_path, value):
     assert store.read_frames("ST16-1").stars_per_exposure.tolist() == [2, 0, 2, 0]
 
 
+@pytest.mark.parametrize("tail", ["", "{"], ids=["fast", "careful"])
+def test_the_broken_star_itself_is_in_quarantine(tmp_path, tail):
+    frame = json_frame(0, n=3)
+    star = {"row_px": 5000.0, "col_px": 1.0, "intensity": 9.5, "star_id": None}
+    frame["exposures"][1]["stars"] = [star | {"row_px": 1.0}, star]
+    (tmp_path / "a.jsonl").write_text(json.dumps(frame) + "\n" + tail)
+    store, _ = cases.run(tmp_path, tmp_path / "a.jsonl")
+    (record,) = (r for r in cases.records(store) if r["code"] == "outside_detector")
+    assert json.loads(record["raw"]) == {"exposure": 1, **star}
+
+
 def test_the_careful_reader_gives_the_same_rows_as_the_fast_one(tmp_path):
     lines = [json.dumps(json_frame(f, seed=f, n=f % 4)) for f in range(20)]
     (tmp_path / "a.jsonl").write_text("\n".join(lines))

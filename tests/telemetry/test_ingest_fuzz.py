@@ -85,7 +85,8 @@ def test_json_lines(data):
 @settings(max_examples=40, deadline=None)
 @given(data=mutated(".csv"))
 def test_small_windows(data):
-    check(data, "a.csv", window_rows=3)
+    with cases.small_blocks(200):
+        check(data, "a.csv", window_rows=3)
 
 
 @settings(max_examples=40, deadline=None)

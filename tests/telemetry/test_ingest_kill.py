@@ -13,15 +13,18 @@ import telemetry_cases as cases
 
 from stcal.telemetry.store import Store
 
-CODE = """
+WINDOW = 100
+CODE = f"""
 import sys
 from pathlib import Path
+import telemetry_cases as cases
 from stcal.config import load_config
 from stcal.telemetry.ingest import ingest
 from stcal.telemetry.store import Store
 root, config, *files = map(Path, sys.argv[1:])
 print("ready", flush=True)
-ingest(files, Store.open(root, create=True), [load_config(config)], window_rows=60)
+with cases.small_blocks(4000):
+    ingest(files, Store.open(root, create=True), [load_config(config)], window_rows={WINDOW})
 """
 
 
@@ -29,8 +32,8 @@ def downloads(folder):
     """Files over several days that overlap, differ and hold bad rows; windows cut them."""
     table = [
         row | {"time_utc": row["time_utc"].replace("-05T", f"-{5 + day:02d}T")}
-        for day in range(4)
-        for row in cases.frames(20)
+        for day in range(3)
+        for row in cases.frames(12)
     ]
     files = []
     for k in range(6):
@@ -45,7 +48,9 @@ def downloads(folder):
 def start(root, files):
     config = cases.ROOT / "configs" / "st16.toml"
     command = [sys.executable, "-c", CODE, str(root), str(config), *map(str, files)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    here = str(cases.ROOT / "tests" / "telemetry")
+    environment = {**os.environ, "PYTHONPATH": here}
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
     process.stdout.readline()
     return process
 
@@ -91,7 +96,8 @@ def test_killed_at_every_replacement(tmp_path, monkeypatch):
     from stcal import atomic
 
     files = downloads(tmp_path)[:2]
-    reference, _ = cases.run(tmp_path / "reference", *files, window_rows=60)
+    with cases.small_blocks(4000):
+        reference, _ = cases.run(tmp_path / "reference", *files, window_rows=WINDOW)
     write = atomic.write_with
     steps = 0
     while True:
@@ -107,14 +113,16 @@ def test_killed_at_every_replacement(tmp_path, monkeypatch):
         folder = tmp_path / str(steps)
         finished = True
         try:
-            cases.run(folder, *files, window_rows=60)
+            with cases.small_blocks(4000):
+                cases.run(folder, *files, window_rows=WINDOW)
         except KeyboardInterrupt:
             finished = False
         monkeypatch.setattr(atomic, "write_with", write)
         frames = frames_on_disk(folder / "store")
         refused = sum(r["rows"] for r in cases.records(Store(folder / "store"))) if frames else 0
         assert not frames or refused > 0, "frames came before their quarantine"
-        cases.run(folder, *files, window_rows=60)
+        with cases.small_blocks(4000):
+            cases.run(folder, *files, window_rows=WINDOW)
         assert cases.snapshot(folder / "store") == cases.snapshot(reference.root)
         if finished:
             break
