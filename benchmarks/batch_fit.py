@@ -15,14 +15,14 @@ from pathlib import Path
 
 import numpy as np
 from scipy.optimize import least_squares
-from study import ROOT, make_matcher
 
 from stcal.execution import serial
 from stcal.matching import match
 from stcal.pipeline.cycles import solve
-from stcal.pipeline.fit import parameter_scale
+from stcal.pipeline.estimate import parameter_scale
 from stcal.residuals import RESIDUALS, select_stars
 from stcal.simulate import load_scenario, scenario_with, simulate
+from study import ROOT, make_matcher
 
 
 def median_time(function, runs: int) -> tuple[float, object]:

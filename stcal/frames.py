@@ -177,6 +177,11 @@ class MatchedFrames:
         )
 
     @cached_property
+    def matches_per_frame(self) -> Ints:
+        """(F,) number of matched stars in both exposures together."""
+        return np.asarray(self.matches_per_exposure.reshape(-1, EXPOSURES_PER_FRAME).sum(axis=1))
+
+    @cached_property
     def frame_solved(self) -> Bools:
         """(F,) whether any exposure of the frame was identified."""
         return np.asarray(self.solved.reshape(-1, EXPOSURES_PER_FRAME).any(axis=1))

@@ -5,45 +5,27 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stcal.calibration import Calibration
-from stcal.cameras import Camera
 from stcal.constants import ARCSEC, URAD
-from stcal.frames import FrameBatch, MatchedFrames
+from stcal.frames import FrameBatch
 from stcal.matching import Matcher
-from stcal.metrics import cell_of, detector_cells, residual_vectors
 from stcal.pipeline.cycles import Cycle
-from stcal.residuals.selection import StarSelection
+from stcal.pipeline.estimate import Estimate
+from stcal.pipeline.numbers import number, numbers
+from stcal.pipeline.views import residual_views, series
 from stcal.times import format_utc
 from stcal.units import unit_of
 from stcal.version import __version__
 
-if TYPE_CHECKING:
-    from stcal.pipeline.fit import Estimate
-
 Floats = NDArray[np.float64]
 
-_SERIES_LENGTH = 1500
-_RADIAL_BINS = 12
 # A direction in parameter space is called weak when it is this much less observable.
 _WEAK = 30.0
-
-
-def number(value: float) -> float | None:
-    """Return a float that JSON can hold: None for NaN and infinity."""
-    return float(value) if math.isfinite(value) else None
-
-
-def numbers(values: NDArray[np.floating] | Sequence[float]) -> list[Any]:
-    """Return nested lists of JSON numbers."""
-    array = np.asarray(values, dtype=np.float64)
-    if array.ndim > 1:
-        return [numbers(row) for row in array]
-    return [number(v) for v in array]
 
 
 def header(schema: str, sensor_id: str) -> dict[str, Any]:
@@ -238,88 +220,3 @@ def _alignment(estimate: Estimate) -> dict[str, Any]:
         "exposures_used": found.exposures_used,
         "exposures_rejected": found.exposures_rejected,
     }
-
-
-def residual_views(
-    selections: Sequence[StarSelection], before: Camera, after: Camera
-) -> dict[str, Any]:
-    """Return the residual field by detector cell and its radial profile, under two cameras."""
-    row, col = (
-        np.concatenate([getattr(s, name) for s in selections]) for name in ("row_px", "col_px")
-    )
-    vectors = [
-        np.concatenate([residual_vectors(s, c) for s in selections]) for c in (before, after)
-    ]
-    good = np.isfinite(vectors[0]).all(axis=1) & np.isfinite(vectors[1]).all(axis=1)
-    row, col, old, new = row[good], col[good], vectors[0][good], vectors[1][good]
-    return {
-        "field": _field(row, col, old, new, after),
-        "radial": _radial(row, col, old, new, after),
-    }
-
-
-def _field(row: Floats, col: Floats, old: Floats, new: Floats, camera: Camera) -> dict[str, Any]:
-    cells = detector_cells(camera.rows, camera.cols)
-    cell = cell_of(row, col, camera, cells)
-    size = cells[0] * cells[1]
-    count = np.bincount(cell, minlength=size)
-    used = np.flatnonzero(count)
-
-    def mean(values: Floats) -> list[Any]:
-        return numbers((np.bincount(cell, values, minlength=size) / np.maximum(count, 1))[used])
-
-    i, j = np.divmod(used, cells[1])
-    return {
-        "rows": camera.rows,
-        "cols": camera.cols,
-        "row_px": numbers((i + 0.5) * camera.rows / cells[0] - 0.5),
-        "col_px": numbers((j + 0.5) * camera.cols / cells[1] - 0.5),
-        "count": count[used].tolist(),
-        "before_row_px": mean(old[:, 0]),
-        "before_col_px": mean(old[:, 1]),
-        "after_row_px": mean(new[:, 0]),
-        "after_col_px": mean(new[:, 1]),
-    }
-
-
-def _radial(row: Floats, col: Floats, old: Floats, new: Floats, camera: Camera) -> dict[str, Any]:
-    """Mean radial component of the residuals over the distance from the detector's centre."""
-    y, x = row - 0.5 * (camera.rows - 1), col - 0.5 * (camera.cols - 1)
-    radius = np.hypot(x, y)
-    unit = np.stack([y, x], axis=1) / np.maximum(radius, 1e-9)[:, None]
-    edge = 0.5 * math.hypot(camera.rows, camera.cols) / _RADIAL_BINS
-    which = np.minimum((radius / edge).astype(int), _RADIAL_BINS - 1)
-    count = np.bincount(which, minlength=_RADIAL_BINS)
-    used = np.flatnonzero(count >= 3)
-
-    def mean(values: Floats) -> Floats:
-        return np.bincount(which, values, minlength=_RADIAL_BINS) / np.maximum(count, 1)
-
-    along_old, along_new = (old * unit).sum(axis=1), (new * unit).sum(axis=1)
-    centre = mean(along_new)
-    variance = mean((along_new - centre[which]) ** 2)
-    return {
-        "radius_px": numbers((used + 0.5) * edge),
-        "before_px": numbers(mean(along_old)[used]),
-        "after_px": numbers(centre[used]),
-        "sd_after_px": numbers(np.sqrt(variance)[used]),
-        "count": count[used].tolist(),
-    }
-
-
-def series(
-    before: Sequence[MatchedFrames],
-    after: Sequence[MatchedFrames],
-    counts: tuple[str, str],
-    fixes: tuple[str, str],
-) -> dict[str, Any]:
-    """Return matched stars (both exposures) and fixes over time, thinned for plotting."""
-    times = np.concatenate([m.frames.t_tai_ns for m in before])
-    step = max(1, math.ceil(len(times) / _SERIES_LENGTH))
-    document: dict[str, Any] = {"time_utc": [format_utc(int(t)) for t in times[::step]]}
-    for name, matched in zip(counts, (before, after), strict=True):
-        per_frame = [m.matches_per_exposure.reshape(-1, 2).sum(axis=1) for m in matched]
-        document[name] = np.concatenate(per_frame)[::step].tolist()
-    for name, matched in zip(fixes, (before, after), strict=True):
-        document[name] = np.concatenate([m.frame_solved for m in matched])[::step].tolist()
-    return document

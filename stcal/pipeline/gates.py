@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,9 +10,7 @@ from stcal.calibration import Calibration
 from stcal.config import Fit, SensorConfig
 from stcal.constants import URAD
 from stcal.frames import FrameBatch
-
-if TYPE_CHECKING:
-    from stcal.pipeline.fit import Estimate
+from stcal.pipeline.estimate import Estimate
 
 # A matched set that still moves the parameters by more than this is no fit.
 _UNSETTLED_SD = 1.0

@@ -27,6 +27,8 @@ from stcal.metrics import (
 from stcal.pipeline import describe
 from stcal.pipeline.alignment import attitude_change
 from stcal.pipeline.fit import check_detector
+from stcal.pipeline.numbers import number, numbers
+from stcal.pipeline.views import residual_views, series
 from stcal.residuals import RESIDUALS, select_stars
 from stcal.residuals.arclength import BoundArclength
 
@@ -169,8 +171,8 @@ def _document(
         "attitude_offset_arcsec": _rotation(change, "mean"),
         "attitude_spread_arcsec": _rotation(change, "spread"),
         "attitude_sd_of_mean_arcsec": _rotation(change, "sd_of_mean"),
-        **describe.residual_views(selections, baseline.camera, candidate.camera),
-        "series": describe.series(
+        **residual_views(selections, baseline.camera, candidate.camera),
+        "series": series(
             compared.matched[0], compared.matched[1],
             ("matched_baseline", "matched_candidate"), ("fix_baseline", "fix_candidate"),
         ),
@@ -195,10 +197,10 @@ def _figures(compared: Comparison) -> dict[str, Any]:
         "availability": _pair([i.value for i in availability])
         | {"interval": _pair_of(availability)},
         "matched_stars": {"baseline": int(old_stars.sum()), "candidate": int(new_stars.sum())},
-        "matched_star_ratio": describe.number(matched_ratio.value),
+        "matched_star_ratio": number(matched_ratio.value),
         "matched_star_ratio_interval": _bounds(matched_ratio),
         "common_pair_rms_urad": _pair([i.value for i in rms]) | {"interval": _pair_of(rms)},
-        "rms_ratio": describe.number(rms_ratio.value),
+        "rms_ratio": number(rms_ratio.value),
         "rms_ratio_interval": _bounds(rms_ratio),
         "pairs": int(new.pairs.sum()),
         "pairs_from": compared.pairs_from,
@@ -210,13 +212,13 @@ def _interval(statistic: Any, *columns: NDArray[Any]) -> Interval:
 
 
 def _bounds(interval: Interval) -> list[float | None]:
-    return [describe.number(interval.low), describe.number(interval.high)]
+    return [number(interval.low), number(interval.high)]
 
 
 def _pair(values: Sequence[float]) -> dict[str, Any]:
     return {
-        "baseline": describe.number(values[0]),
-        "candidate": describe.number(values[1]),
+        "baseline": number(values[0]),
+        "candidate": number(values[1]),
     }
 
 
@@ -260,5 +262,5 @@ def _rotation(change: Any, what: str) -> list[float | None] | None:
     if what == "mean":
         from stcal.geometry.rotations import vector_from_matrix
 
-        return describe.numbers(vector_from_matrix(change.c[None])[0] / ARCSEC)
-    return describe.numbers(getattr(change, what) / ARCSEC)
+        return numbers(vector_from_matrix(change.c[None])[0] / ARCSEC)
+    return numbers(getattr(change, what) / ARCSEC)

@@ -11,6 +11,7 @@ import time
 
 import telemetry_cases as cases
 
+from stcal.telemetry.content import frame_digests
 from stcal.telemetry.store import Store
 
 WINDOW = 100
@@ -67,6 +68,13 @@ def frames_on_disk(root):
     return set(zip(frames.frame_id.tolist(), frames.t_tai_ns.tolist(), strict=True))
 
 
+def versions_on_disk(root):
+    """Return the content hashes of the frames kept and of those that lost."""
+    store = Store.open(root)
+    lost = {record["content_sha256"] for record in cases.records(store)} - {None}
+    return lost | set(frame_digests(store.read_frames("ST16-1")))
+
+
 def test_killed_at_random_moments(tmp_path):
     files = downloads(tmp_path)
     began = time.monotonic()
@@ -99,7 +107,7 @@ def test_killed_at_every_replacement(tmp_path, monkeypatch):
     with cases.small_blocks(4000):
         reference, _ = cases.run(tmp_path / "reference", *files, window_rows=WINDOW)
     write = atomic.write_with
-    steps = 0
+    steps, known = 0, set()
     while True:
         left = [steps]
 
@@ -119,6 +127,9 @@ def test_killed_at_every_replacement(tmp_path, monkeypatch):
             finished = False
         monkeypatch.setattr(atomic, "write_with", write)
         frames = frames_on_disk(folder / "store")
+        versions = versions_on_disk(folder / "store") if frames else set()
+        assert known <= versions, "a version was lost between two files"
+        known = versions
         refused = sum(r["rows"] for r in cases.records(Store(folder / "store"))) if frames else 0
         assert not frames or refused > 0, "frames came before their quarantine"
         with cases.small_blocks(4000):
