@@ -137,10 +137,7 @@ def _fixed(matched: Sequence[MatchedFrames]) -> Floats:
 
 
 def _stars(matched: Sequence[MatchedFrames]) -> Floats:
-    per_frame = [
-        m.matches_per_exposure.reshape(-1, EXPOSURES_PER_FRAME).sum(axis=1) for m in matched
-    ]
-    return np.concatenate(per_frame).astype(np.float64)
+    return np.concatenate([m.matches_per_frame for m in matched]).astype(np.float64)
 
 
 def _document(

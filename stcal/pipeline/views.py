@@ -1,4 +1,4 @@
-"""What pictures are drawn from: residuals over the detector and along the radius, frames over time."""
+"""What pictures are drawn from: residuals over the detector, and frames over time."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stcal.cameras import Camera
-from stcal.constants import EXPOSURES_PER_FRAME
 from stcal.frames import MatchedFrames
 from stcal.metrics import cell_of, detector_cells, residual_vectors
 from stcal.pipeline.numbers import numbers
@@ -101,10 +100,7 @@ def series(
     step = max(1, math.ceil(len(times) / _SERIES_LENGTH))
     document: dict[str, Any] = {"time_utc": [format_utc(int(t)) for t in times[::step]]}
     for name, matched in zip(counts, (before, after), strict=True):
-        per_frame = [
-            m.matches_per_exposure.reshape(-1, EXPOSURES_PER_FRAME).sum(axis=1) for m in matched
-        ]
-        document[name] = np.concatenate(per_frame)[::step].tolist()
+        document[name] = np.concatenate([m.matches_per_frame for m in matched])[::step].tolist()
     for name, matched in zip(fixes, (before, after), strict=True):
         document[name] = np.concatenate([m.frame_solved for m in matched])[::step].tolist()
     return document

@@ -59,9 +59,7 @@ def write_attitudes(matched: Sequence[MatchedFrames], c_sd: Floats, path: Path) 
         }
         for k, name in enumerate(("q_x", "q_y", "q_z", "q_w")):
             columns[name] = pa.array(q_si[:, k], from_pandas=True)
-        columns["matched_stars"] = part.matches_per_exposure.reshape(-1, EXPOSURES_PER_FRAME).sum(
-            axis=1
-        )
+        columns["matched_stars"] = part.matches_per_frame
         tables.append(pa.table(columns))
     _write(pa.concat_tables(tables), path)
 
