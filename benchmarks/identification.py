@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from scenes import COLS, FOCAL_M, PIXEL_M, ROWS, SCENES, Images, make_images, nominal_camera
+from scenes import COLS, FOCAL_M, PIXEL_M, ROWS, SCENES, Images, Scene, make_images, nominal_camera
 
 from stcal.catalog.catalogue import load_bundled, select
 from stcal.config import load_config
@@ -24,19 +24,29 @@ def angles(c: np.ndarray, truth: np.ndarray) -> np.ndarray:
     return np.arccos(np.clip((trace - 1.0) / 2.0, -1.0, 1.0))
 
 
-def run_stcal(
-    images: Images, matcher: Matcher, method: str, hints: np.ndarray | None
-) -> tuple[MatchedFrames, dict]:
-    frames = images.frames
-    arguments = (frames, nominal_camera(), np.eye(3), matcher, method, hints)
-    match(*arguments)
-    times = []
-    for _ in range(5):
-        start = time.perf_counter()
-        matched = match(*arguments)
-        times.append(time.perf_counter() - start)
-    us = 1e6 * float(np.median(times)) / frames.n_frames
-    return matched, score(matched, images) | {"us": us}
+ROUNDS = 7
+
+
+def identification(images: Images, matcher: Matcher, method: str, hints: np.ndarray | None):
+    """Return a function that identifies all exposures and returns the matched frames."""
+    arguments = (images.frames, nominal_camera(), np.eye(3), matcher, method, hints)
+    return lambda: match(*arguments)
+
+
+def paired_times(functions: dict) -> dict:
+    """Time functions in turn, A B C A B C ..., and return the seconds of each round by name.
+
+    Pairing keeps ratios meaningful while the machine's speed drifts.
+    """
+    for function in functions.values():
+        function()
+    times = {name: [] for name in functions}
+    for _ in range(ROUNDS):
+        for name, function in functions.items():
+            start = time.perf_counter()
+            function()
+            times[name].append(time.perf_counter() - start)
+    return {name: np.array(values) for name, values in times.items()}
 
 
 def score(matched: MatchedFrames, images: Images) -> dict:
@@ -82,7 +92,8 @@ def make_peer():
     )
 
 
-def run_peer(database, images: Images) -> dict:
+def peer_solver(database, images: Images):
+    """Return a function that solves all exposures with the peer and returns its results."""
     frames, fov = images.frames, float(np.degrees(2 * np.arctan(COLS / 2 * PIXEL_M / FOCAL_M)))
     lists = []
     for e in range(frames.n_frames):
@@ -91,27 +102,55 @@ def run_peer(database, images: Images) -> dict:
         x, y = frames.col_px[part] - (COLS - 1) / 2, (ROWS - 1) / 2 - frames.row_px[part]
         lists.append(np.ascontiguousarray(np.stack([x, y, frames.intensity[part]], axis=1)))
     settings = {"fov_estimate_deg": fov, "image_shape": (ROWS, COLS), "fov_max_error_deg": 0.5}
-    results = [database.solve_from_centroids(c, **settings) for c in lists]
-    times = []
-    for _ in range(3):
-        one = []
-        for c in lists:
-            start = time.perf_counter()
-            database.solve_from_centroids(c, **settings)
-            one.append(time.perf_counter() - start)
-        times.append(one)
+    return lambda: [database.solve_from_centroids(c, **settings) for c in lists]
+
+
+def score_peer(results: list, images: Images) -> dict:
     solved = np.array([hasattr(r, "ra_deg") for r in results])
     wrong = 0
     for e in np.flatnonzero(solved):
         ra, dec = np.radians(results[e].ra_deg), np.radians(results[e].dec_deg)
         axis = np.array([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
         wrong += bool(axis @ images.c_di[e, 2] < np.cos(WRONG_RAD))
-    return {
-        "solved": float(solved.mean()),
-        "wrong": int(wrong),
-        "us": 1e6 * float(np.mean(np.median(times, axis=0))),
-        "us_median": 1e6 * float(np.median(times)),
-    }
+    return {"solved": float(solved.mean()), "wrong": int(wrong)}
+
+
+def run_scene(scene: Scene, images: Images, matcher: Matcher, peer, seed: int) -> dict:
+    lost = identification(images, matcher, "lost-in-space", None)
+    guided = identification(images, matcher, "guided", hints_near(images, seed))
+    functions = {"lost": lost, "guided": guided}
+    if peer is not None:
+        functions["tetra3rs"] = peer_solver(peer, images)
+    times = paired_times(functions)
+    matched = {"lost": lost(), "guided": guided()}
+    count = images.frames.n_frames
+    row = {"scene": scene.name, "stars": images.frames.n_stars / count}
+    for name, found in matched.items():
+        row[name] = score(found, images) | {"us": 1e6 * float(np.median(times[name])) / count}
+    row["differ"] = disagreements(matched["lost"], matched["guided"]).tolist()
+    if peer is not None:
+        us = 1e6 * float(np.median(times["tetra3rs"])) / count
+        row["tetra3rs"] = score_peer(functions["tetra3rs"](), images) | {"us": us}
+        for name in matched:
+            row[f"ratio_{name}"] = float(np.median(times[name] / times["tetra3rs"]))
+    return row
+
+
+def report(row: dict, exposures: int) -> None:
+    print(f"{row['scene']} ({row['stars']:.1f} stars)")
+    for name in ("lost", "guided", "tetra3rs"):
+        if name not in row:
+            continue
+        one = row[name]
+        line = f"  {name:9s} {one['us']:6.1f} us  solved {one['solved']:.4f}  wrong {one['wrong']}"
+        if "matched" in one:
+            line += f"  false matches {one['false_matches']} of {one['matched']}"
+        if f"ratio_{name}" in row:
+            line += f"  time over tetra3rs's {row[f'ratio_{name}']:.2f}"
+        print(line)
+    share = 1.0 - len(row["differ"]) / exposures
+    where = f"; not in exposures {row['differ']}" if row["differ"] else ""
+    print(f"  both methods agree on every star in {share:.2%} of exposures{where}", flush=True)
 
 
 def main() -> None:
@@ -126,29 +165,8 @@ def main() -> None:
     matcher, peer, rows = Matcher(catalogue, config), make_peer(), []
     for k, scene in enumerate(SCENES):
         images = make_images(scene, arguments.exposures, catalogue, arguments.seed + k)
-        lost_matched, lost = run_stcal(images, matcher, "lost-in-space", None)
-        guided_matched, guided = run_stcal(images, matcher, "guided", hints_near(images, k))
-        differ = disagreements(lost_matched, guided_matched)
-        agree = 1.0 - len(differ) / arguments.exposures
-        row = {"scene": scene.name, "lost": lost, "guided": guided, "agreement": agree}
-        line = (
-            f"{scene.name:52s} stars {images.frames.n_stars / arguments.exposures:5.1f}  "
-            f"lost {lost['us']:6.1f} us {lost['solved']:.4f} wrong {lost['wrong']} "
-            f"false {lost['false_matches']}/{lost['matched']}  "
-            f"guided {guided['us']:6.1f} us {guided['solved']:.4f} wrong {guided['wrong']}"
-        )
-        if peer is not None:
-            row["tetra3rs"] = run_peer(peer, images)
-            row["ratio_lost"] = lost["us"] / row["tetra3rs"]["us_median"]
-            line += (
-                f"  tetra3rs {row['tetra3rs']['us_median']:6.1f} us "
-                f"{row['tetra3rs']['solved']:.4f} wrong {row['tetra3rs']['wrong']}"
-                f"  ratio {row['ratio_lost']:.2f}"
-            )
-        rows.append(row)
-        print(line, flush=True)
-        print(f"{'':52s} the methods agree on every star in {agree:.2%} of exposures", end="")
-        print(f"; not in exposures {differ.tolist()}" if len(differ) else "", flush=True)
+        rows.append(run_scene(scene, images, matcher, peer, k))
+        report(rows[-1], arguments.exposures)
     if arguments.json:
         arguments.json.write_text(json.dumps(rows, indent=1))
 
