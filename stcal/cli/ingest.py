@@ -13,7 +13,20 @@ from stcal.errors import InputError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from stcal.telemetry.summary import Counts, IngestSummary
+    from stcal.telemetry.summary import IngestSummary
+
+# Counts of the summary and their titles; those not in _ALWAYS are shown when there are any.
+_COLUMNS = {
+    "rows": "Rows",
+    "frames": "Frames",
+    "new_frames": "New",
+    "replaced_frames": "Better",
+    "duplicate_frames": "Known",
+    "conflicting_frames": "Worse",
+    "stars": "Stars",
+    "quarantined_rows": "Refused rows",
+}
+_ALWAYS = ("rows", "frames", "new_frames", "duplicate_frames", "stars", "quarantined_rows")
 
 
 @click.command(name="ingest")
@@ -44,7 +57,8 @@ def command(
 ) -> None:
     """Read telemetry SOURCEs (files or folders; CSV or JSON Lines, plain or gzip) into a store.
 
-    Rows and frames that are refused go to the store's quarantine with source, row and reason.
+    Rows and frames that are refused go to the store's quarantine with source, row and reason.  Of
+    two versions of a frame the one with more stars is kept.
     """
     from stcal.config import load_config
     from stcal.telemetry.ingest import ingest
@@ -85,33 +99,28 @@ def _finish(context: click.Context, summary: IngestSummary, as_json: bool) -> No
 
 
 def _tables(summary: IngestSummary, console: Console) -> None:
-    from rich.table import Table
+    from rich.table import Column, Table
 
-    table = Table("Source")
-    for title in ("Rows", "Frames", "New", "Repl.", "Dupl.", "Confl.", "Stars", "Refused"):
+    shown = [
+        (name, title)
+        for name, title in _COLUMNS.items()
+        if name in _ALWAYS or getattr(summary.counts, name)
+    ]
+    table = Table(Column("Source", overflow="fold"))
+    for _, title in shown:
         table.add_column(title, justify="right")
     for source in summary.sources:
         name = source.path.name + (" (damaged)" if source.error else "")
-        table.add_row(name, *_numbers(source.counts))
+        table.add_row(name, *(str(getattr(source.counts, count)) for count, _ in shown))
     if len(summary.sources) > 1:
         table.add_section()
-        table.add_row("total", *_numbers(summary.counts))
+        total = summary.counts
+        table.add_row("total", *(str(getattr(total, count)) for count, _ in shown))
     console.print(table)
-    console.print(
-        "Frames: new, replacing a version with fewer stars, duplicate, in conflict with a better "
-        "version.  Refused rows are in quarantine.",
-        style="dim",
-    )
     _quarantine_table(summary, console)
     for source in summary.sources:
         for warning in source.warnings:
             console.print(f"{source.path.name}: {warning}", markup=False)
-
-
-def _numbers(counts: Counts) -> list[str]:
-    frames = (counts.frames, counts.new_frames, counts.replaced_frames, counts.duplicate_frames)
-    rest = (counts.conflicting_frames, counts.stars, counts.quarantined_rows)
-    return [str(number) for number in (counts.rows, *frames, *rest)]
 
 
 def _quarantine_table(summary: IngestSummary, console: Console) -> None:

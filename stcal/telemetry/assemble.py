@@ -4,9 +4,10 @@ Runs that say the same about their frame are pieces of it (a file with reordered
 (overlapping downloads in one file), or both.  What decides is how often each star occurs:
 
 - every star equally often, m times: m copies of one frame, in whatever pieces;
-- otherwise, or when the joined pieces would hold one identifier twice in an exposure: the frame was
-  given in versions that differ.  They are cut apart where a run begins, where a run's first row
-  comes again, and where the exposure steps back, and compete as versions of a frame do.
+- otherwise, or when the joined pieces would hold half of their identifiers twice in an exposure
+  (one may be a false match of the sensor's): the frame was given in versions that differ.  They
+  are cut apart where a run begins, where a run's first row comes again, and where the exposure
+  steps back, and compete as versions of a frame do.
 """
 
 from __future__ import annotations
@@ -168,20 +169,20 @@ def _odd_groups(group: Ints, version: Ints, stars: Any, order: Ints, repeated: B
     np.minimum.at(least, of_distinct, times)
     odd = most > np.minimum(least, np.maximum(most, 1))
     several_runs = np.bincount(group, minlength=n) > 1
-    odd |= several_runs & _repeats_identifier(n, version, stars, order[~repeated])
+    odd |= several_runs & _repeats_identifiers(n, version, stars, order[~repeated])
     return np.flatnonzero(odd)
 
 
-def _repeats_identifier(n: int, version: Ints, stars: Any, distinct: Ints) -> Bools:
-    """Whether a group's distinct stars hold an identifier twice in one exposure."""
+def _repeats_identifiers(n: int, version: Ints, stars: Any, distinct: Ints) -> Bools:
+    """Whether half of the identifiers in a group's distinct stars come twice in one exposure."""
     known = distinct[stars["star_id"][distinct] != 0]
     exposure = EXPOSURES_PER_FRAME * version[known] + stars["exposure"][known]
     identifier = stars["star_id"][known]
     order = np.lexsort((identifier, exposure))
     twice = (np.diff(exposure[order]) == 0) & (np.diff(identifier[order]) == 0)
-    repeats = np.zeros(n, dtype=np.bool_)
-    repeats[exposure[order][1:][twice] // EXPOSURES_PER_FRAME] = True
-    return repeats
+    repeats = np.bincount(exposure[order][1:][twice] // EXPOSURES_PER_FRAME, minlength=n)
+    identifiers = np.bincount(version[known], minlength=n) - repeats
+    return (repeats > 0) & (2 * repeats >= identifiers)
 
 
 def _cut_apart(odd: Ints, parent: Ints, version: Ints, stars: Any) -> tuple[Ints, Ints]:

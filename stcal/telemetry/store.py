@@ -147,12 +147,10 @@ class Store:
         lost = quarantine.read_conflicts(conflicts)
         merged = merge(stored, lost, incoming)
         if set(merged.lost) != set(lost):
-            pass
+            quarantine.write_conflicts(conflicts, merged.lost)
         table = table_from_stored(merged.kept)
         if stored is None or not table.equals(table_from_stored(stored)):
             _write(path, table)
-        if set(merged.lost) != set(lost):
-            quarantine.write_conflicts(conflicts, merged.lost)
         return merged
 
     @contextmanager

@@ -70,26 +70,26 @@ def check(data: bytes, name: str, **options: object) -> None:
         assert again.counts.rows == counts.rows
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(data=mutated(".csv"))
 def test_csv(data):
     check(data, "a.csv")
 
 
-@settings(max_examples=120, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(data=mutated(".jsonl"))
 def test_json_lines(data):
     check(data, "a.jsonl")
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(data=mutated(".csv"))
 def test_small_windows(data):
     with cases.small_blocks(200):
         check(data, "a.csv", window_rows=3)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(data=mutated(".csv"), cut=st.floats(0, 1))
 def test_cut_gzip(data, cut):
     packed = gzip.compress(data)
