@@ -22,6 +22,8 @@ Ints = NDArray[np.int64]
 
 UTC_PATTERN = r"^\d{4}-\d{2}-\d{2}T\d{2}:\d{2}:(\d{2})(\.\d{1,9})?Z$"
 _UTC = re.compile(UTC_PATTERN)
+# int64 nanoseconds end in 2262.
+_YEARS = (1972, 2261)
 _NS = 1_000_000_000
 _JD_1970 = 2_440_587.5
 FIRST_UTC_NS = int(np.datetime64("1972-01-01", "ns").astype(np.int64))
@@ -70,6 +72,8 @@ def parse_utc(text: str) -> int:
     match = _UTC.match(text)
     if match is None:
         raise ValueError(f"{text!r} is not an ISO 8601 UTC time such as 2026-01-05T12:00:00.000Z")
+    if int(text[:4]) > _YEARS[1]:
+        raise ValueError(f"{text!r} lies beyond the year {_YEARS[1]}")
     leap = match.group(1) == "60"
     body = text[:-1]
     if leap:
@@ -91,8 +95,6 @@ _WIDTH = 31
 _DIGITS = np.array([0, 1, 2, 3, 5, 6, 8, 9, 11, 12, 14, 15, 17, 18])
 _SEPARATORS = {4: "-", 7: "-", 10: "T", 13: ":", 16: ":"}
 _MONTH_DAYS = np.array([31, 28, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31])
-# int64 nanoseconds end in 2262.
-_YEARS = (1972, 2261)
 
 
 def parse_utc_array(texts: Sequence[str] | NDArray[np.object_]) -> tuple[Ints, NDArray[np.bool_]]:

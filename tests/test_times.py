@@ -54,6 +54,7 @@ def test_the_leap_second_of_2016():
         ("2026-06-30T23:59:60Z", "not a leap second"),
         ("1969-01-05T12:00:00Z", "1972"),
         ("", "ISO 8601"),
+        ("9999-01-05T12:00:00Z", "beyond the year"),
     ],
 )
 def test_what_is_no_utc_time_is_refused(text, message):
