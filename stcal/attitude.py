@@ -27,10 +27,8 @@ def solve_wahba(
     Parameters are columns over stars: s_d, s_i (S, 3), weight (S,), exposure (S,).  Solved by the
     SVD of the attitude profile matrix (Markley 1988).  NaN for exposures with under two stars.
     """
-    outer = (weight[:, None, None] * s_d[:, :, None] * s_i[:, None, :]).reshape(-1, 9)
-    profile = np.stack(
-        [np.bincount(exposure, outer[:, k], minlength=n_exposures) for k in range(9)], axis=1
-    ).reshape(-1, 3, 3)
+    outer = weight[:, None, None] * s_d[:, :, None] * s_i[:, None, :]
+    profile = _sum_by_exposure(outer, exposure, n_exposures)
     count = np.bincount(exposure, weight > 0, minlength=n_exposures)
     left, _, right = np.linalg.svd(profile)
     left[:, :, 2] *= (np.linalg.det(left) * np.linalg.det(right))[:, None]
@@ -42,13 +40,37 @@ def solve_wahba(
 def attitude_covariance(s_d: Floats, sd: Floats, exposure: Ints, n_exposures: int) -> Floats:
     """Return the covariance (E, 3, 3) [rad^2] of the small rotation error, in D.
 
-    P = (sum (1 - s s^T) / sd^2)^-1 (Shuster & Oh 1981); NaN where stars don't fix the attitude.
+    For the solution with weights 1 / sd^2: P = (sum (1 - s s^T) / sd^2)^-1 (Shuster & Oh 1981);
+    NaN where stars don't fix the attitude.
     """
-    information = (np.eye(3) - s_d[:, :, None] * s_d[:, None, :]) / (sd * sd)[:, None, None]
-    flat = information.reshape(-1, 9)
-    total = np.stack(
-        [np.bincount(exposure, flat[:, k], minlength=n_exposures) for k in range(9)], axis=1
-    ).reshape(-1, 3, 3)
+    return _inverse(_information(s_d, (sd * sd) ** -1.0, exposure, n_exposures))
+
+
+def unweighted_covariance(s_d: Floats, sd: Floats, exposure: Ints, n_exposures: int) -> Floats:
+    """Return the same for the solution with equal weights: P = A^-1 [sum sd^2 (1 - s s^T)] A^-1.
+
+    A = sum (1 - s s^T).  This is the solution that identification gives.
+    """
+    inverse = _inverse(_information(s_d, np.ones(len(sd)), exposure, n_exposures))
+    middle = _information(s_d, sd * sd, exposure, n_exposures)
+    return np.asarray(inverse @ middle @ inverse)
+
+
+def _information(s_d: Floats, weight: Floats, exposure: Ints, n_exposures: int) -> Floats:
+    """Sum w (1 - s s^T) by exposure."""
+    terms = (np.eye(3) - s_d[:, :, None] * s_d[:, None, :]) * weight[:, None, None]
+    return _sum_by_exposure(terms, exposure, n_exposures)
+
+
+def _sum_by_exposure(terms: Floats, exposure: Ints, n_exposures: int) -> Floats:
+    """Sum matrices (S, 3, 3) by exposure (E, 3, 3)."""
+    flat = terms.reshape(-1, 9)
+    columns = [np.bincount(exposure, flat[:, k], minlength=n_exposures) for k in range(9)]
+    # Without stars bincount counts in integers.
+    return np.stack(columns, axis=1).astype(np.float64).reshape(-1, 3, 3)
+
+
+def _inverse(total: Floats) -> Floats:
     eigenvalue = np.linalg.eigvalsh(total)
     good = eigenvalue[:, 0] > 1e-12 * np.maximum(eigenvalue[:, 2], 1e-300)
     covariance = np.full(total.shape, np.nan)
@@ -115,6 +137,10 @@ def attitudes_from_quaternions(q_si: Floats, c_sd: Floats) -> Floats:
     return c_di
 
 
+# Median of |x| for a normal x with unit sd.
+_NORMAL_MEDIAN = 0.6745
+
+
 @dataclass(frozen=True)
 class MeanRotation:
     """A robust mean rotation.
@@ -134,11 +160,12 @@ class MeanRotation:
 
 
 def mean_rotation(rotations: Floats, rejection_sigma: float = 5.0) -> MeanRotation | None:
-    """Average rotations (K, 3, 3) by Markley et al. 2007, leaving wrong ones out.
+    """Average rotations (K, 3, 3), in time order, by Markley et al. 2007, leaving wrong ones out.
 
     The start is the rotation with the least median angle to the others, which stays right while
-    over half are right; then rotations beyond ``rejection_sigma`` robust sd of the angle are left
-    out until the set settles.  None for an empty list.
+    over half are right; then rotations beyond ``rejection_sigma`` robust sd, each axis having its
+    own, are left out until the set settles.  The sd of the mean allows for the correlation of
+    neighbours.  None for an empty list.
     """
     from scipy.spatial.transform import Rotation
 
@@ -147,10 +174,12 @@ def mean_rotation(rotations: Floats, rejection_sigma: float = 5.0) -> MeanRotati
     mean = rotations[_most_central(rotations)]
     kept = np.ones(len(rotations), dtype=bool)
     for _ in range(20):
-        angle = np.linalg.norm(vector_from_matrix(rotations @ mean.T), axis=1)
-        # Median of a Rayleigh-like angle in three dimensions is 1.538 sd per axis.
-        scale = max(float(np.median(angle)) / 1.538, 1e-9)
-        now = angle <= rejection_sigma * scale * np.sqrt(3.0)
+        vectors = vector_from_matrix(rotations @ mean.T)
+        # Roll spreads about ten times as far as the cross axes.
+        scale = np.maximum(np.median(np.abs(vectors), axis=0) / _NORMAL_MEDIAN, 1e-9)
+        now = np.sqrt(((vectors / scale) ** 2).sum(axis=1)) <= rejection_sigma
+        if not now.any():
+            now = kept
         mean = Rotation.from_matrix(rotations[now]).mean().as_matrix()
         if np.array_equal(now, kept):
             break
@@ -158,7 +187,15 @@ def mean_rotation(rotations: Floats, rejection_sigma: float = 5.0) -> MeanRotati
     vectors = vector_from_matrix(rotations[kept] @ mean.T)
     count = int(kept.sum())
     spread = np.sqrt((vectors**2).sum(axis=0) / max(count - 1, 1))
-    return MeanRotation(mean, spread, spread / np.sqrt(count), kept)
+    return MeanRotation(mean, spread, spread / np.sqrt(count / _neighbour_factor(vectors)), kept)
+
+
+def _neighbour_factor(vectors: Floats) -> Floats:
+    """Return (3,) by how much correlation of neighbours raises the variance of a mean."""
+    total = (vectors**2).sum(axis=0)
+    lag = (vectors[1:] * vectors[:-1]).sum(axis=0) / np.maximum(total, 1e-300)
+    lag = np.clip(lag, 0.0, 0.95)
+    return np.asarray((1.0 + lag) / (1.0 - lag))
 
 
 def _most_central(rotations: Floats, sample: int = 200) -> int:

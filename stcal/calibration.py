@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ class Calibration:
     c_sd : (3, 3) rotation from detector frame D to sensor frame S
     covariance : (P, P) of the camera parameters in their own units, or None
     provenance, quality : free-form JSON objects of a fitted file
+    origin : the file that it was read from, for messages
     """
 
     sensor_id: str
@@ -40,6 +41,7 @@ class Calibration:
     covariance: Floats | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
     quality: dict[str, Any] = field(default_factory=dict)
+    origin: str = field(default="", compare=False)
 
     def to_json(self) -> dict[str, Any]:
         """Return the JSON object of the file."""
@@ -100,7 +102,7 @@ def load(path: Path) -> Calibration:
     calibration = _build(document, problems)
     if calibration is None or problems:
         raise InputError(f"{path}: " + "; ".join(problems))
-    return calibration
+    return replace(calibration, origin=str(path))
 
 
 def _build(document: dict[str, Any], problems: list[str]) -> Calibration | None:
@@ -110,8 +112,8 @@ def _build(document: dict[str, Any], problems: list[str]) -> Calibration | None:
     sensor_id, serial = document.get("sensor_id"), document.get("serial")
     if not isinstance(sensor_id, str) or not sensor_id:
         problems.append("sensor_id is missing or not text")
-    if isinstance(serial, bool) or not isinstance(serial, int) or serial < 0:
-        problems.append(f"serial is {serial!r}, not a whole number from 0")
+    if isinstance(serial, bool) or not isinstance(serial, int) or not 0 <= serial < 2**31:
+        problems.append(f"serial is {str(serial)[:40]}, not a whole number from 0 to 2147483647")
     camera = _camera(document.get("camera"), problems)
     c_sd = _rotation(document.get("c_sd"), problems)
     if problems or camera is None or c_sd is None:
@@ -171,8 +173,21 @@ def _camera(section: Any, problems: list[str]) -> Camera | None:
     )
     if camera.value("f_m") <= 0:
         problems.append(f"camera.parameters.f_m is {camera.value('f_m')}, not positive")
-        return None
-    return camera
+    elif not _sees(camera):
+        problems.append("camera.parameters give no directions in front of the detector")
+    else:
+        return camera
+    return None
+
+
+def _sees(camera: Camera) -> bool:
+    """Whether the detector's corners look forward, each in a direction of its own."""
+    m = np.array([0.0, 0.0, camera.rows - 1.0, camera.rows - 1.0])
+    n = np.array([0.0, camera.cols - 1.0, 0.0, camera.cols - 1.0])
+    with np.errstate(all="ignore"):
+        s_d = camera.directions(m, n)
+        apart = np.abs(s_d[:, None] - s_d[None, :]).max(axis=2) + np.eye(4)
+    return bool(np.isfinite(s_d).all() and (s_d[:, 2] > 0.0).all() and apart.min() > 1e-9)
 
 
 def _number(value: Any, name: str, problems: list[str]) -> float | None:

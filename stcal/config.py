@@ -7,7 +7,14 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
 
 from stcal.cameras import CAMERAS
 from stcal.errors import ConfigError
@@ -18,10 +25,25 @@ SCHEMA = "stcal.sensor/1"
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+Magnitude = Annotated[float, Field(ge=-2, le=30)]
+Tolerance = Annotated[float, Field(gt=0, le=1e5)]
+
+
+def _printable(text: str) -> str:
+    if not text.isprintable():
+        raise ValueError("holds characters that cannot be printed")
+    return text
+
+
+def _no_nul(text: str) -> str:
+    if "\0" in text:
+        raise ValueError("holds a NUL character, which no path may")
+    return text
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    # Strict: a number written as text is a mistake; integers still pass for floats.
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 class Detector(_Section):
@@ -68,7 +90,7 @@ class Noise(_Section):
 
     model: Literal["constant", "intensity"] = "constant"
     sd_px: Positive
-    photon_sd_px: Annotated[float, Field(ge=0)] = 0.0
+    photon_sd_px: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
     reference_intensity: Positive = 1000.0
 
 
@@ -76,30 +98,31 @@ class CatalogueSection(_Section):
     """Which catalogue stars the sensor can see and tell apart."""
 
     # None: the bundled catalogue; else a file of `stcal catalog build`, relative to this file.
-    path: str | None = None
-    limiting_magnitude: Finite
+    path: Annotated[str, Field(min_length=1), AfterValidator(_no_nul)] | None = None
+    limiting_magnitude: Magnitude
     # Stars closer than this are one photocentre to the detector.
-    merge_separation_arcsec: Annotated[float, Field(ge=0)]
+    merge_separation_arcsec: Annotated[float, Field(ge=0, le=3600)]
 
 
 class Matching(_Section):
     """Identification: tolerances and the acceptance rule shared by both methods."""
 
     # Largest arclength error of a pair that may seed a lost-in-space hypothesis.
-    pair_tolerance_urad: Positive
+    pair_tolerance_urad: Tolerance
     # Largest departure of a matched star from its catalogue place after the attitude solution.
-    star_tolerance_urad: Positive
+    star_tolerance_urad: Tolerance
     minimum_matches: Annotated[int, Field(ge=3)] = 4
     # Longest pair used for seeding, shorter ones bear less distortion.
-    pair_limit_deg: Positive = 12.0
+    pair_limit_deg: Annotated[float, Field(gt=0, le=90)] = 12.0
     # Brightest detections that seed hypotheses.
     seed_stars: Annotated[int, Field(ge=3, le=64)] = 12
     # Faintest catalogue stars in the pair table; None: all. Deep catalogues need a limit here.
-    seed_magnitude: Finite | None = None
-    # Accepted expectation of false alarms in an exposure without a true solution.
+    seed_magnitude: Magnitude | None = None
+    # Accepted expectation of false alarms in an exposure without a true solution; the bound
+    # is approximate, the measured rate lies within a factor of five of it.
     false_alarm: Annotated[float, Field(gt=0, lt=0.1)] = 1e-4
     # Radius in which `guided` looks around its attitude hint.
-    hint_radius_deg: Positive = 0.3
+    hint_radius_deg: Annotated[float, Field(gt=0, le=10)] = 0.3
 
 
 class Fit(_Section):
@@ -116,7 +139,8 @@ class Fit(_Section):
     maximum_condition: Positive = 1e4
     maximum_change_sigma: Positive = 30.0
     maximum_rms_urad: Positive | None = None
-    # Reduced chi-square beyond which the noise model or the camera model is not believed.
+    # RMS of the residuals over the noise model, beyond which the noise or the camera model is
+    # not believed.
     maximum_noise_scale: Positive = 5.0
 
 
@@ -132,8 +156,8 @@ class SensorConfig(_Section):
     """One sensor type, as its TOML file describes it."""
 
     schema_: Literal["stcal.sensor/1"] = Field(alias="schema")
-    name: str
-    sensor_ids: Annotated[list[str], Field(min_length=1)]
+    name: Annotated[str, Field(min_length=1, max_length=100), AfterValidator(_printable)]
+    sensor_ids: Annotated[list[Annotated[str, Field(min_length=1)]], Field(min_length=1)]
     detector: Detector
     camera: CameraSection
     noise: Noise
@@ -161,10 +185,24 @@ def load_config(path: Path) -> SensorConfig:
     except ValidationError as error:
         raise ConfigError(f"{path}:\n" + "\n".join(_lines(error))) from None
     if config.catalogue.path is not None:
-        resolved = str((path.parent / config.catalogue.path).resolve())
+        resolved = str(path_beside(path, config.catalogue.path, "catalogue.path"))
         catalogue = config.catalogue.model_copy(update={"path": resolved})
         config = config.model_copy(update={"catalogue": catalogue})
     return config
+
+
+def path_beside(file: Path, name: str, key: str) -> Path:
+    """Return the absolute path that ``key`` of a configuration names relative to its ``file``.
+
+    Raises
+    ------
+    ConfigError
+        When no path can be made of the name.
+    """
+    try:
+        return (file.parent / name).resolve()
+    except (ValueError, RuntimeError) as error:  # a NUL character; a loop of symbolic links
+        raise ConfigError(f"{file}:\n  {key}: {name!r}: {error}") from None
 
 
 def _lines(error: ValidationError) -> list[str]:

@@ -10,6 +10,7 @@ from stcal.attitude import (
     frame_quaternions,
     mean_rotation,
     solve_wahba,
+    unweighted_covariance,
 )
 from stcal.matching import match
 
@@ -58,6 +59,43 @@ def test_covariance_matches_monte_carlo():
     predicted = attitude_covariance(s_d, sd, np.zeros(8, int), 1)[0]
     np.testing.assert_allclose(np.cov(error.T), predicted, rtol=0.1, atol=3e-10)
     assert error.mean(axis=0) == pytest.approx(0, abs=5e-6)
+
+
+def test_covariance_of_the_unweighted_solution_matches_monte_carlo():
+    rng = np.random.default_rng(6)
+    s_d, runs = field(rng, 8), 4000
+    sd = np.where(np.arange(8) < 4, 2e-5, 2e-4)
+    exposure = np.repeat(np.arange(runs), 8)
+    many = np.tile(s_d, (runs, 1))
+    noisy = many + rng.normal(0, 1.0, many.shape) * np.tile(sd, runs)[:, None]
+    noisy /= np.linalg.norm(noisy, axis=1, keepdims=True)
+    found = solve_wahba(noisy, many, np.ones(len(many)), exposure, runs)
+    error = Rotation.from_matrix(found).as_rotvec()
+    predicted = unweighted_covariance(s_d, sd, np.zeros(8, int), 1)[0]
+    spread = np.sqrt(np.diag(predicted))
+    scale = np.outer(spread, spread)
+    np.testing.assert_allclose(np.cov(error.T) / scale, predicted / scale, atol=0.1)
+    better = attitude_covariance(s_d, sd, np.zeros(8, int), 1)[0]
+    assert (np.diag(better) < 0.5 * np.diag(predicted)).all()
+
+
+def test_mean_rotation_judges_each_axis_by_its_own_spread():
+    """Ten of 200 rotations are 30 sd off in x, well inside the spread of the roll."""
+    rng = np.random.default_rng(7)
+    vectors = rng.normal(0, [1e-5, 1e-5, 1e-4], (200, 3))
+    vectors[::20, 0] += 3e-4
+    mean = mean_rotation(Rotation.from_rotvec(vectors).as_matrix())
+    assert not mean.kept[::20].any()
+    assert abs(Rotation.from_matrix(mean.c).as_rotvec()[0]) < 4e-6
+
+
+def test_sd_of_the_mean_allows_for_correlated_neighbours():
+    rng = np.random.default_rng(8)
+    independent = rng.normal(0, 1e-4, (2000, 3))
+    slow = np.repeat(rng.normal(0, 1e-4, (200, 3)), 10, axis=0)
+    for vectors, count in ((independent, 2000), (slow, 200)):
+        mean = mean_rotation(Rotation.from_rotvec(vectors).as_matrix())
+        np.testing.assert_allclose(mean.sd_of_mean, 1e-4 / np.sqrt(count), rtol=0.4)
 
 
 def test_quaternion_convention_is_scipys():

@@ -5,7 +5,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1] / "stcal"
 LAYERS = [
-    {"constants", "errors", "version", "atomic", "reading"},
+    {"constants", "errors", "version", "atomic", "reading", "jit"},
     {"geometry", "frames", "times", "units"},
     {"cameras", "catalog", "attitude"},
     {"config", "calibration"},

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 from math import sqrt
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
 from stcal.constants import AU_M, JULIAN_YEAR_S, SPEED_OF_LIGHT_M_S
+from stcal.jit import kernel
 
 Floats = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ _SUN_SCHWARZSCHILD_AU = 1.97412574336e-8
 _DEFLECTION_LIMIT = 1e-6
 
 
-@nb.njit(cache=True, nogil=True)
+@kernel
 def apparent_place(
     direction: Floats, motion: Floats, parallax: float, observer: Floats, out: Floats
 ) -> None:
@@ -79,7 +79,7 @@ def apparent_place(
     out[2] = pz * norm
 
 
-@nb.njit(cache=True, nogil=True)
+@kernel
 def geometric_from_apparent(u: Floats, observer: Floats, out: Floats) -> None:
     """Write the direction (3,) that the apparent unit direction ``u`` has without aberration.
 
@@ -98,7 +98,7 @@ def geometric_from_apparent(u: Floats, observer: Floats, out: Floats) -> None:
     out[2] = z * norm
 
 
-@nb.njit(cache=True, nogil=True)
+@kernel
 def apparent_places(
     direction: Floats,
     motion: Floats,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from stcal.cli.inputs import OUT, Selection, read_inputs, store_options
+from stcal.cli.inputs import OUT, Selection, output_folder, read_inputs, store_options
 from stcal.cli.output import emit, progress
 
 if TYPE_CHECKING:
@@ -52,6 +52,7 @@ def command(
 
     if not batch:
         raise UsageError("say how to fit: --batch")
+    target = output_folder(out) / "calibration.json"
     parent = load(initial)
     inputs = read_inputs(selection)
     provenance = inputs.provenance | {"parent_sha256": sha256_of(initial)}
@@ -62,15 +63,15 @@ def command(
             lambda cycle: bar.advance(),
         )  # fmt: skip
     document = result.document
+    # The calibration goes first and comes last: beside documents it is always theirs.
+    target.unlink(missing_ok=True)
     write_documents(document, out / "fit.json", out / "report.html")
-    target = out / "calibration.json"
-    if result.calibration is None:
-        # An older success must not pass for the result of this run.
-        target.unlink(missing_ok=True)
+    if result.calibration is not None:
+        save(result.calibration, target)
+    else:
         if not as_json:
             emit(document, as_json, lambda console: _tables(document, console))
         raise refusal_of(document)
-    save(result.calibration, target)
     emit(document, as_json, lambda console: _tables(document, console))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
@@ -88,13 +89,16 @@ def read_inputs(selection: Selection) -> Inputs:
     """Read a sensor's frames of a time range, its configuration and its catalogue."""
     from stcal.catalog.catalogue import catalogue_sha256, select
     from stcal.config import config_sha256
+    from stcal.errors import UsageError
     from stcal.matching import Matcher
     from stcal.pipeline.describe import span_of
     from stcal.telemetry.store import Store, read_fragment
     from stcal.version import __version__
 
-    opened, sensor = Store.open(selection.store), selection.sensor
     limits = parse_time(selection.start, "--from"), parse_time(selection.stop, "--to")
+    if limits[0] is not None and limits[1] is not None and limits[0] >= limits[1]:
+        raise UsageError(f"--from {selection.start} is not before --to {selection.stop}")
+    opened, sensor = Store.open(selection.store), selection.sensor
     fragments = opened.fragments(sensor, *limits)
     settings = load_settings(opened, sensor, selection.config)
     section = settings.catalogue
@@ -109,6 +113,25 @@ def read_inputs(selection: Selection) -> Inputs:
         **span_of(batches),
     }
     return Inputs(batches, Matcher(chosen, settings), provenance)
+
+
+def output_folder(path: Path) -> Path:
+    """Make the output folder before the work, so that a wrong one doesn't cost it.
+
+    Raises
+    ------
+    UsageError
+        Naming the folder and what is wrong with it.
+    """
+    from stcal.errors import UsageError
+
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"--out {path}: {error.strerror}") from None
+    if not os.access(path, os.W_OK):
+        raise UsageError(f"--out {path}: not writable")
+    return path
 
 
 def load_catalogue(settings: SensorConfig) -> Any:
@@ -145,5 +168,7 @@ def parse_time(text: str | None, option: str) -> int | None:
     full = text if "T" in text else f"{text.removesuffix('Z')}T00:00:00Z"
     try:
         return parse_utc(full)
-    except ValueError as error:
-        raise UsageError(f"{option}: {error}") from None
+    except ValueError:
+        raise UsageError(
+            f"{option} {text!r} is not a UTC time such as 2026-01-05T12:00:00Z or 2026-01-05"
+        ) from None

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from stcal.cli.inputs import MATCHING, OUT, Selection, read_inputs, store_options
+from stcal.cli.inputs import MATCHING, OUT, Selection, output_folder, read_inputs, store_options
 from stcal.cli.output import emit, progress
 
 if TYPE_CHECKING:
@@ -37,12 +37,13 @@ def command(
     from stcal.calibration import load
     from stcal.execution import scheduler
     from stcal.matching import match
-    from stcal.pipeline.fit import check_detector
+    from stcal.pipeline.fit import check_calibration
     from stcal.telemetry.matches import summary, write_attitudes, write_matches
 
+    output_folder(out)
     chosen = load(calibration)
     inputs = read_inputs(selection)
-    check_detector(chosen, inputs.matcher.config)
+    check_calibration(chosen, inputs.matcher.config, selection.sensor)
     task = partial(
         match, camera=chosen.camera, c_sd=chosen.c_sd, matcher=inputs.matcher, method=matching
     )
@@ -53,7 +54,8 @@ def command(
             bar.advance()
     catalogue = inputs.matcher.catalogue
     write_matches(matched, catalogue, out / "matches.parquet")
-    write_attitudes(matched, chosen.c_sd, out / "attitudes.parquet")
+    noise = inputs.matcher.config.noise
+    write_attitudes(matched, chosen, noise, out / "attitudes.parquet")
     document = {"sensor_id": selection.sensor, "matching": matching} | summary(matched)
     emit(document, as_json, lambda console: _table(document, console))
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from stcal.cli.fit import write_documents
-from stcal.cli.inputs import MATCHING, OUT, Selection, read_inputs, store_options
+from stcal.cli.inputs import MATCHING, OUT, Selection, output_folder, read_inputs, store_options
 from stcal.cli.output import emit, progress
 
 if TYPE_CHECKING:
@@ -40,6 +40,7 @@ def command(
     from stcal.pipeline.fit import refusal_of
     from stcal.pipeline.validate import validate
 
+    output_folder(out)
     old, new = load(baseline), load(candidate)
     inputs = read_inputs(selection)
     hashes = {

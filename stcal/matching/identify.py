@@ -18,6 +18,7 @@ from stcal.config import Matching, SensorConfig
 from stcal.constants import DEG, EXPOSURES_PER_FRAME, URAD
 from stcal.frames import FrameBatch, MatchedFrames
 from stcal.matching import kernels
+from stcal.matching.given_kernels import keep_consistent
 from stcal.matching.index import SkyIndex, build_index
 
 Floats = NDArray[np.float64]
@@ -25,6 +26,10 @@ Floats = NDArray[np.float64]
 REASONS = ("solved", "too few stars", "no match")
 # Chance matches are judged in a field this much denser than the mean sky (the Milky Way).
 _CROWDING = 1.5
+# Shorter arcs, as a part of the longest, give no attitude worth checking.
+_SHORTEST_ARC = 0.05
+# Matches from elsewhere may depart by this many pair tolerances from their attitude.
+_GIVEN_TOLERANCE = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,13 +140,9 @@ def rematch_given(
     count = np.bincount(frames.exposure_of_star[star >= 0], minlength=frames.n_exposures)
     star = np.where((count >= 3)[frames.exposure_of_star], star, np.int32(-1)).astype(np.int32)
     reason = np.where(count >= 3, 0, 1).astype(np.int8)
-    observer = observer_at(frames.t_tai_ns, frames.pos_km, frames.vel_km_s)
+    s_i = _places(frames, catalogue, star)
     matched = np.flatnonzero(star >= 0)
     exposure = frames.exposure_of_star[matched]
-    s_i = np.full((frames.n_stars, 3), np.nan)
-    s_i[matched] = apparent_directions(
-        catalogue, star[matched].astype(np.int64), exposure // EXPOSURES_PER_FRAME, observer
-    )
     weight = np.ones(len(matched))
     c_di = solve_wahba(s_d[matched], s_i[matched], weight, exposure, frames.n_exposures)
     c_di[count < 3] = np.nan
@@ -150,13 +151,44 @@ def rematch_given(
     return MatchedFrames(frames, star, s_i, count >= 3, reason, c_di, residual)
 
 
-def telemetered_matches(frames: FrameBatch, catalogue: StarCatalogue) -> NDArray[np.int32]:
-    """Return the on-board matches (S,) as catalogue indices, -1 where unmatched or not in it."""
+def _places(frames: FrameBatch, catalogue: StarCatalogue, star: NDArray[np.int32]) -> Floats:
+    """Return the apparent places (S, 3) of matched stars, NaN elsewhere."""
+    observer = observer_at(frames.t_tai_ns, frames.pos_km, frames.vel_km_s)
+    matched = np.flatnonzero(star >= 0)
+    frame = frames.exposure_of_star[matched] // EXPOSURES_PER_FRAME
+    s_i = np.full((frames.n_stars, 3), np.nan)
+    s_i[matched] = apparent_directions(catalogue, star[matched].astype(np.int64), frame, observer)
+    return s_i
+
+
+def telemetered_matches(frames: FrameBatch, camera: Camera, matcher: Matcher) -> NDArray[np.int32]:
+    """Return the on-board matches (S,) as catalogue indices, -1 where unmatched or not in it.
+
+    They were made by somebody else's rules, so each exposure keeps only what one attitude
+    explains within a few times the pair tolerance: a falsely solved exposure, a wrong or a
+    repeated identifier would otherwise bend the first fit beyond repair.
+    """
+    catalogue = matcher.catalogue
     order = np.argsort(catalogue.star_id, kind="stable")
     ids = catalogue.star_id[order]
     place = np.minimum(np.searchsorted(ids, frames.star_id), len(ids) - 1)
     known = (frames.star_id != 0) & (ids[place] == frames.star_id)
-    return np.where(known, order[place], -1).astype(np.int32)
+    star = np.where(known, order[place], -1).astype(np.int32)
+    _drop_repeated(frames, star)
+    tolerance = _GIVEN_TOLERANCE * matcher.config.matching.pair_tolerance_urad * URAD
+    shortest = _SHORTEST_ARC * matcher.config.matching.pair_limit_deg * DEG
+    s_d = camera.directions(frames.row_px, frames.col_px)
+    s_i = _places(frames, catalogue, star)
+    keep_consistent(frames.star_offsets, s_d, s_i, star, tolerance, shortest)
+    return star
+
+
+def _drop_repeated(frames: FrameBatch, star: NDArray[np.int32]) -> None:
+    """Unmatch, in place, stars that one exposure names more than once."""
+    matched = np.flatnonzero(star >= 0)
+    key = frames.exposure_of_star[matched] * (int(star.max(initial=0)) + 1) + star[matched]
+    _, inverse, counts = np.unique(key, return_inverse=True, return_counts=True)
+    star[matched[counts[inverse] > 1]] = -1
 
 
 def _by_year(years: Floats) -> list[tuple[int, slice]]:
@@ -182,6 +214,7 @@ def _kernel_input(
         pair_tolerance=pair_tolerance,
         star_tolerance=tolerance,
         hint_radius=rules.hint_radius_deg * DEG,
+        shortest_arc=_SHORTEST_ARC * limit,
         minimum_matches=rules.minimum_matches,
         seed_stars=rules.seed_stars,
         # Ordered catalogue pairs that the pair tolerance leaves for one detected pair.

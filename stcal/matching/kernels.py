@@ -6,10 +6,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from stcal.catalog.apparent_kernels import apparent_place
+from stcal.jit import kernel
 from stcal.matching.seed_kernels import (
     NO_MATCH,
     SOLVED,
@@ -45,6 +45,7 @@ class Rule(NamedTuple):
     pair_tolerance: float
     star_tolerance: float
     hint_radius: float
+    shortest_arc: float
     minimum_matches: int
     seed_stars: int
     hypotheses: float
@@ -80,7 +81,7 @@ def make_work(catalogue_stars: int, largest_exposure: int, pairs: int, seeds: in
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def identify(
     offsets,
     s_d,
@@ -132,7 +133,7 @@ def identify(
             _describe(exposure, c, observer, sky, mine, s_i[first:last], residual[first:last])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def brightest_first(intensity, order):
     """Fill ``order`` with the detections from bright to faint, unknown ones last; stable."""
     for k in range(intensity.shape[0]):
@@ -146,7 +147,7 @@ def brightest_first(intensity, order):
         order[place] = k
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _describe(s, c, observer, sky, star, s_i, residual):
     """Fill the apparent places of the matched stars and their departures from the attitude."""
     b = np.empty(3)

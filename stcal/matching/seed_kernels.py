@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from stcal.catalog.apparent_kernels import geometric_from_apparent
+from stcal.jit import kernel
 from stcal.matching.verify_kernels import (
     cell_of,
     refine_attitude,
@@ -17,19 +17,18 @@ from stcal.matching.verify_kernels import (
 
 SOLVED, TOO_FEW_STARS, NO_MATCH = 0, 1, 2
 
-_SHORTEST_ARC = 0.01
 _TRIALS = 150
 _CHAIN = 64
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def separation(a, b):
     """Angle between unit vectors [rad], exact for short arcs too."""
     x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
     return 2.0 * math.asin(min(1.0, 0.5 * math.sqrt(x * x + y * y + z * z)))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _determinant(a, b, c):
     return (
         a[0] * (b[1] * c[2] - b[2] * c[1])
@@ -38,7 +37,7 @@ def _determinant(a, b, c):
     )
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _window(low, high, sky):
     """Return the range of the pair table with separations in [low, high]."""
     last_bin = sky.pair_start.shape[0] - 1
@@ -53,7 +52,7 @@ def _window(low, high, sky):
     return i, j
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def two_vector_attitude(s1, s2, u1, u2, c):
     """TRIAD: the rotation c with c u1 = s1 and c u2 in the plane of s1, s2 (Black 1964)."""
     frames = np.empty((2, 3, 3))
@@ -82,7 +81,7 @@ def two_vector_attitude(s1, s2, u1, u2, c):
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _list_triads(s, order, seeds, sky, rule, triads, cost):
     """Fill the triads of the brightest stars, each as (pivot, near, far) by shorter arcs first.
 
@@ -94,12 +93,12 @@ def _list_triads(s, order, seeds, sky, rule, triads, cost):
         for y in range(x + 1, seeds):
             i, j = order[x], order[y]
             a_ij = separation(s[i], s[j])
-            if a_ij < _SHORTEST_ARC or a_ij > limit:
+            if a_ij < rule.shortest_arc or a_ij > limit:
                 continue
             for z in range(y + 1, seeds):
                 k = order[z]
                 a_ik, a_jk = separation(s[i], s[k]), separation(s[j], s[k])
-                if min(a_ik, a_jk) < _SHORTEST_ARC or max(a_ik, a_jk) > limit:
+                if min(a_ik, a_jk) < rule.shortest_arc or max(a_ik, a_jk) > limit:
                     continue
                 if a_jk >= a_ij and a_jk >= a_ik:
                     pivot, first, second, short, middle = i, j, k, a_ij, a_ik
@@ -114,7 +113,7 @@ def _list_triads(s, order, seeds, sky, rule, triads, cost):
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _try_triad(s, pivot, first, second, observer, sky, rule, work, star, c):
     """Join the two pair windows of a triad over the pivot; settle the first that passes."""
     tolerance = rule.pair_tolerance
@@ -183,7 +182,7 @@ def _try_triad(s, pivot, first, second, observer, sky, rule, work, star, c):
     return found
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _settle_triad(
     s, pivot, first, second, u_hub, u_near, u_far, observer, sky, rule, work, star, c
 ):
@@ -198,7 +197,7 @@ def _settle_triad(
     return settle(s, c, observer, sky, rule, star, work.target, work.distance2, work.owner)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def solve_lost_in_space(s, order, observer, sky, rule, work, star, c):
     """Identify one exposure without prior knowledge; returns the number of matches, 0 = none."""
     seeds = min(s.shape[0], rule.seed_stars)
@@ -219,7 +218,7 @@ def solve_lost_in_space(s, order, observer, sky, rule, work, star, c):
     return 0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _candidates(u, radius, observer, sky, out):
     """List catalogue stars within ``radius`` of an apparent direction; returns how many."""
     g = np.empty(3)
@@ -234,7 +233,7 @@ def _candidates(u, radius, observer, sky, out):
     return count
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def solve_guided(s, order, hint, observer, sky, rule, work, star, c):
     """Identify one exposure near the attitude ``hint``; returns the number of matches, 0 = none.
 
@@ -257,7 +256,7 @@ def solve_guided(s, order, hint, observer, sky, rule, work, star, c):
         for y in range(x + 1, seeds if n1 > 0 else 0):
             j = order[y]
             arc = separation(s[i], s[j])
-            if arc < _SHORTEST_ARC:
+            if arc < rule.shortest_arc:
                 continue
             rotate_back(hint, s[j], u2)
             n2 = _candidates(u2, rule.hint_radius, observer, sky, list2)

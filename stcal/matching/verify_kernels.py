@@ -1,8 +1,8 @@
 """The geometric consistency check that both identification methods end in (numba).
 
 From an approximate attitude of one exposure: match every detection to the nearest catalogue star,
-refit the attitude, and repeat until the set of matches no longer changes.  Both methods reach the
-same fixed point, whatever the attitude that they start from.
+refit the attitude, and repeat until the set of matches no longer changes.  Attitudes near the
+truth all lead to the same fixed point.
 """
 
 from __future__ import annotations
@@ -10,16 +10,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from stcal.catalog.apparent_kernels import apparent_place, geometric_from_apparent
+from stcal.jit import kernel
 
 _ROUNDS = 12
 # The first look-up allows for the coarse attitude of a hypothesis.
 _FIRST_RADIUS = 2.5
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def cell_of(u, cells):
     """Return the cube-map cell of a direction; the twin of ``index.cube_cell``."""
     axis = 0
@@ -36,27 +36,27 @@ def cell_of(u, cells):
     return (face * cells + i) * cells + j
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def rotate(c, v, out):
     """out = c v."""
     for i in range(3):
         out[i] = c[i, 0] * v[0] + c[i, 1] * v[1] + c[i, 2] * v[2]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def rotate_back(c, v, out):
     """out = c^T v."""
     for i in range(3):
         out[i] = c[0, i] * v[0] + c[1, i] * v[1] + c[2, i] * v[2]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _distance2(a, b):
     x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
     return x * x + y * y + z * z
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def refine_attitude(s, target, star, c):
     """Turn ``c`` (I to D) to the least-squares attitude of the matched stars, in place.
 
@@ -92,7 +92,7 @@ def refine_attitude(s, target, star, c):
     return True
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _turn(c, x, y, z):
     """c <- R c with R the rotation by the vector (x, y, z)."""
     angle = math.sqrt(x * x + y * y + z * z)
@@ -112,7 +112,7 @@ def _turn(c, x, y, z):
         c[2, j] = r20 * a + r21 * b + r22 * d
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def nearest_star(g, radius, sky):
     """Return the catalogue star nearest to the geometric direction ``g``, or -1."""
     cell = cell_of(g, sky.cells)
@@ -125,7 +125,7 @@ def nearest_star(g, radius, sky):
     return best
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _assign(s, c, radius, observer, sky, star, target, distance2, owner):
     """Match each detection to the nearest star within ``radius``; nearest wins a shared star.
 
@@ -172,13 +172,13 @@ def _assign(s, c, radius, observer, sky, star, target, distance2, owner):
     return count, changed
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def log_choose(n, k):
     """Natural logarithm of the binomial coefficient."""
     return math.lgamma(n + 1.0) - math.lgamma(k + 1.0) - math.lgamma(n - k + 1.0)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def accept(matches, detections, rule):
     """Whether chance can't explain the matches: an a-contrario bound on the false alarms.
 
@@ -196,7 +196,7 @@ def accept(matches, detections, rule):
     return log_alarms < math.log(rule.false_alarm)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def settle(s, c, observer, sky, rule, star, target, distance2, owner):
     """Run the check from the attitude ``c``; returns the number of matches, 0 when refused.
 
@@ -221,7 +221,7 @@ def settle(s, c, observer, sky, rule, star, target, distance2, owner):
     return count if accept(count, s.shape[0], rule) else 0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _tighten(s, c, rule, star, target):
     """Refit and drop the worst star until all are within the tolerance of their own attitude."""
     b = np.empty(3)

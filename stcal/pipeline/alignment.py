@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stcal.attitude import MeanRotation, mean_rotation
+from stcal.constants import EXPOSURES_PER_FRAME
 from stcal.frames import MatchedFrames
-from stcal.geometry.rotations import vector_from_matrix
+from stcal.geometry.rotations import matrix_from_vector, vector_from_matrix
 
 Floats = NDArray[np.float64]
 
@@ -29,31 +30,31 @@ class Alignment:
     c_sd : (3, 3) the new C_SD
     offset : (3,) rad, about the axes of S: what the update takes out
     spread, sd_of_mean : (3,) rad, about the axes of S
-    exposures_used, exposures_rejected : exposures solved under both calibrations
+    frames_used, frames_rejected : frames solved under both calibrations
     """
 
     c_sd: Floats
     offset: Floats
     spread: Floats
     sd_of_mean: Floats
-    exposures_used: int
-    exposures_rejected: int
+    frames_used: int
+    frames_rejected: int
 
 
 def update_alignment(c_sd: Floats, old_c_di: Floats, new_c_di: Floats) -> Alignment | None:
     """Return the update from attitudes (E, 3, 3) under both calibrations; None without any."""
-    both = np.isfinite(old_c_di[:, 0, 0]) & np.isfinite(new_c_di[:, 0, 0])
-    turns = old_c_di[both] @ np.swapaxes(new_c_di[both], 1, 2)
+    turns = _frame_turns(c_sd @ old_c_di, c_sd @ new_c_di)
     mean = mean_rotation(turns)
     if mean is None:
         return None
+    # Turns are taken in S here: mean = c_sd mean(k) c_sd^T.
     return Alignment(
-        c_sd=orthonormal(c_sd @ mean.c),
-        offset=c_sd @ vector_from_matrix(mean.c[None])[0],
-        spread=_about(c_sd, mean.spread),
-        sd_of_mean=_about(c_sd, mean.sd_of_mean),
-        exposures_used=int(mean.kept.sum()),
-        exposures_rejected=int((~mean.kept).sum()),
+        c_sd=orthonormal(mean.c @ c_sd),
+        offset=vector_from_matrix(mean.c[None])[0],
+        spread=mean.spread,
+        sd_of_mean=mean.sd_of_mean,
+        frames_used=int(mean.kept.sum()),
+        frames_rejected=int((~mean.kept).sum()),
     )
 
 
@@ -63,13 +64,24 @@ def attitude_change(
     """Return the mean rotation in S between attitudes under two calibrations: what users see."""
     old_si = old_c_sd @ np.concatenate([m.c_di for m in old])
     new_si = new_c_sd @ np.concatenate([m.c_di for m in new])
-    both = np.isfinite(old_si[:, 0, 0]) & np.isfinite(new_si[:, 0, 0])
-    return mean_rotation(new_si[both] @ np.swapaxes(old_si[both], 1, 2))
+    return mean_rotation(_frame_turns(new_si, old_si))
 
 
-def _about(c_sd: Floats, sd: Floats) -> Floats:
-    """Return sd about the axes of S of independent components about the axes of D."""
-    return np.sqrt((c_sd**2) @ (sd**2))
+def _frame_turns(a: Floats, b: Floats) -> Floats:
+    """Return one rotation a b^T for each frame with an exposure solved in both (E, 3, 3) lists.
+
+    The mean of the frame's two exposures: they see nearly the same stars, so that they are no
+    independent samples.
+    """
+    turns = a @ np.swapaxes(b, 1, 2)
+    solved = np.isfinite(turns[:, 0, 0])
+    first, second = turns[0::EXPOSURES_PER_FRAME], turns[1::EXPOSURES_PER_FRAME]
+    has_first, has_second = solved[0::EXPOSURES_PER_FRAME], solved[1::EXPOSURES_PER_FRAME]
+    both = has_first & has_second
+    chosen = np.where(has_first[:, None, None], first, second)
+    between = vector_from_matrix(second[both] @ np.swapaxes(first[both], 1, 2))
+    chosen[both] = matrix_from_vector(0.5 * between) @ first[both]
+    return np.asarray(chosen[has_first | has_second])
 
 
 def orthonormal(c: Floats) -> Floats:

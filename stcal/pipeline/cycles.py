@@ -107,7 +107,7 @@ def _match_one(
 ) -> MatchedFrames:
     frames, previous = item
     if method == "telemetry":
-        known = telemetered_matches(frames, matcher.catalogue)
+        known = telemetered_matches(frames, camera, matcher)
         return rematch_given(frames, camera, matcher.catalogue, known)
     hints = None
     if method == "guided" and previous is not None:

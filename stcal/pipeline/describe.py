@@ -217,6 +217,6 @@ def _alignment(estimate: Estimate) -> dict[str, Any]:
         "offset_arcsec": numbers(found.offset / ARCSEC),
         "spread_arcsec": numbers(found.spread / ARCSEC),
         "sd_of_mean_arcsec": numbers(found.sd_of_mean / ARCSEC),
-        "exposures_used": found.exposures_used,
-        "exposures_rejected": found.exposures_rejected,
+        "frames_used": found.frames_used,
+        "frames_rejected": found.frames_rejected,
     }

@@ -62,7 +62,8 @@ def fit_batch(
     mapper : ordered map over the fragments
     on_cycle : told about each finished cycle
     """
-    check_detector(initial, matcher.config)
+    batches = [batch for batch in batches if batch.n_frames]
+    check_calibration(initial, matcher.config, batches[0].sensor_id)
     estimate = estimate_camera(batches, initial, matcher, matches, mapper, on_cycle)
     refusals = fit_refusals(estimate, batches, initial, matcher.config)
     document = describe.fit_document(
@@ -82,8 +83,8 @@ def fit_batch(
     return FitResult(calibration, document)
 
 
-def check_detector(calibration: Calibration, config: SensorConfig) -> None:
-    """Refuse a calibration that belongs to another camera than the configuration's."""
+def check_calibration(calibration: Calibration, config: SensorConfig, sensor_id: str) -> None:
+    """Refuse a calibration of another sensor, or of another camera than the configuration's."""
     camera, detector = calibration.camera, config.detector
     problems = []
     if camera.model.name != config.camera.model:
@@ -94,13 +95,11 @@ def check_detector(calibration: Calibration, config: SensorConfig) -> None:
         )
     if abs(camera.pixel_size_m / detector.pixel_size_m - 1.0) > 1e-6:
         problems.append(f"pixel size {camera.pixel_size_m} m, not {detector.pixel_size_m} m")
-    if not config.applies_to(calibration.sensor_id):
-        problems.append(f"sensor {calibration.sensor_id}, not {' or '.join(config.sensor_ids)}")
+    if calibration.sensor_id != sensor_id:
+        problems.append(f"sensor {calibration.sensor_id}, not {sensor_id}")
     if problems:
-        raise InputError(
-            f"the calibration of {calibration.sensor_id} does not fit the configuration "
-            f"{config.name!r}: " + "; ".join(problems)
-        )
+        where = calibration.origin or f"the calibration of {calibration.sensor_id}"
+        raise InputError(f"{where} does not fit {config.name!r}: " + "; ".join(problems))
 
 
 def refusal_of(document: dict[str, Any]) -> GateRefusalError:

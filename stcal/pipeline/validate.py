@@ -26,7 +26,7 @@ from stcal.metrics import (
 )
 from stcal.pipeline import describe
 from stcal.pipeline.alignment import attitude_change
-from stcal.pipeline.fit import check_detector
+from stcal.pipeline.fit import check_calibration
 from stcal.pipeline.numbers import number, numbers
 from stcal.pipeline.views import residual_views, series
 from stcal.residuals import RESIDUALS, select_stars
@@ -36,6 +36,10 @@ Floats = NDArray[np.float64]
 
 SCHEMA = "stcal.validation/1"
 CONFIDENCE = 0.95
+# Fewer frames than this say nothing that a bootstrap could measure.
+_LEAST_FRAMES = 20
+# What may be lost without harm, as a share: with enough frames any loss becomes significant.
+MARGINS = {"availability": 0.005, "matched stars": 0.005, "common-pair mean square": 0.02}
 
 
 @dataclass(frozen=True)
@@ -65,8 +69,9 @@ def validate(
     Returns the document ``stcal.validation/1``; ``hashes`` are the SHA-256 of the two files under
     ``baseline`` and ``candidate`` and those of telemetry, catalogue and configuration.
     """
+    batches = [batch for batch in batches if batch.n_frames]
     for calibration in (baseline, candidate):
-        check_detector(calibration, matcher.config)
+        check_calibration(calibration, matcher.config, batches[0].sensor_id)
     compared = compare(batches, baseline, candidate, matcher, method, mapper)
     return _document(compared, batches, baseline, candidate, matcher, hashes, method)
 
@@ -80,6 +85,7 @@ def compare(
     mapper: OrderedMap = serial,
 ) -> Comparison:
     """Rematch the frames with both calibrations and sum what the metrics need, frame by frame."""
+    counted = np.concatenate([b.counts_for_availability for b in batches])
     old, new = (
         list(
             mapper(
@@ -90,18 +96,24 @@ def compare(
         for c in (baseline, candidate)
     )
     bounds = [_bind(matched, c, matcher) for matched, c in ((old, baseline), (new, candidate))]
-    pairs = [sum(len(b.arc) for b in bound) for bound in bounds]
     # Section II-B: common pairs are the largest set of star pairs available.
+    pairs = [
+        _sums(bound, matched, baseline, counted).pairs.sum()
+        for bound, matched in zip(bounds, (old, new), strict=True)
+    ]
     chosen = 0 if pairs[0] > pairs[1] else 1
     larger, matched = bounds[chosen], (old, new)[chosen]
     return Comparison(
         matched=(old, new),
-        counted=np.concatenate([b.counts_for_availability for b in batches]),
+        counted=counted,
         fixed=(_fixed(old), _fixed(new)),
         stars=(_stars(old), _stars(new)),
         pairs_from=("baseline", "candidate")[chosen],
         bound=larger,
-        sums=(_sums(larger, matched, baseline), _sums(larger, matched, candidate)),
+        sums=(
+            _sums(larger, matched, baseline, counted),
+            _sums(larger, matched, candidate, counted),
+        ),
     )
 
 
@@ -116,8 +128,12 @@ def _bind(
 
 
 def _sums(
-    bounds: Sequence[BoundArclength], matched: Sequence[MatchedFrames], calibration: Calibration
+    bounds: Sequence[BoundArclength],
+    matched: Sequence[MatchedFrames],
+    calibration: Calibration,
+    counted: NDArray[np.bool_],
 ) -> PairSums:
+    """Sum over the arcs of the frames that count: eclipse and intrusion are edited out."""
     parts = [
         pair_sums(
             b,
@@ -127,9 +143,8 @@ def _sums(
         )
         for b, m in zip(bounds, matched, strict=True)
     ]
-    return PairSums(
-        np.concatenate([p.squares for p in parts]), np.concatenate([p.pairs for p in parts])
-    )
+    squares, pairs = (np.concatenate([getattr(p, k) for p in parts]) for k in ("squares", "pairs"))
+    return PairSums(squares * counted, pairs * counted)
 
 
 def _fixed(matched: Sequence[MatchedFrames]) -> Floats:
@@ -224,13 +239,16 @@ def _pair_of(intervals: Sequence[Interval]) -> dict[str, Any]:
 
 
 def _judge(compared: Comparison) -> tuple[list[str], list[str]]:
-    """Return reasons to refuse (worse with confidence) and notes (worse, but within the noise)."""
+    """Return reasons to refuse (worse beyond its margin, with confidence) and lesser notes."""
     count = compared.counted.astype(np.float64)
     old_fix, new_fix = (fixed * count for fixed in compared.fixed)
     old_stars, new_stars = (stars * count for stars in compared.stars)
     old, new = compared.sums
-    if not count.any():
-        return ["no frame counts: all are in eclipse or intrusion"], []
+    if count.sum() < _LEAST_FRAMES:
+        return [
+            f"{int(count.sum())} frames count (outside eclipse and intrusion), at least "
+            f"{_LEAST_FRAMES} needed"
+        ], []
     if not new.pairs.sum():
         return ["neither calibration identifies any frame"], []
     # Each difference is made so that above zero is better.
@@ -246,10 +264,10 @@ def _judge(compared: Comparison) -> tuple[list[str], list[str]]:
         text = (
             f"{name} worse by {-gain.value:.2%} (95 % interval {-gain.high:.2%} to {-gain.low:.2%})"
         )
-        if gain.high < 0:
+        if gain.high < -MARGINS[name]:
             reasons.append(text)
         elif gain.value < 0:
-            notes.append(text + ", within its uncertainty")
+            notes.append(text + ", within its uncertainty or without harm")
     return reasons, notes
 
 

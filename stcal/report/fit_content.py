@@ -141,8 +141,8 @@ def c_sd_table(document: Document) -> Table:
         ("Offset removed, x y z", vector(update.get("offset_arcsec"), 2, "arcsec")),
         ("Spread over exposures, x y z", spread_of(update.get("spread_arcsec"), 2)),
         ("sd of the mean", spread_of(update.get("sd_of_mean_arcsec"), 3)),
-        ("Exposures used", count(update.get("exposures_used"))),
-        ("Exposures rejected as wrongly solved", count(update.get("exposures_rejected"))),
+        ("Frames used", count(update.get("frames_used"))),
+        ("Frames rejected as wrongly solved", count(update.get("frames_rejected"))),
         *listed,
     )
     return Table("Alignment update (C_SD)", ("", ""), rows, numeric=False)

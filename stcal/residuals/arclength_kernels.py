@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from stcal.jit import kernel
 
 # Rows k and l of an exposure share a star only when |k - l| <= 4.
 BAND = 4
@@ -16,13 +17,13 @@ _FLAT = 0.2
 _DEPENDENT = 1e-3
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _length(a, b):
     x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
     return math.sqrt(x * x + y * y + z * z)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def flatness(a, b, c):
     """Sine of the smallest angle of a triangle of stars: 0 for collinear ones, and for needles."""
     volume = abs(
@@ -35,7 +36,7 @@ def flatness(a, b, c):
     return volume * shortest / (p * q * r) if shortest > 0.0 else 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _worst_triple(s, order):
     worst, where = 2.0, 0
     for k in range(order.shape[0] - 2):
@@ -45,7 +46,7 @@ def _worst_triple(s, order):
     return worst, where
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _order_one(s, order):
     """Greedy: the next star makes the least flat triple; then swaps mend the flattest."""
     n = order.shape[0]
@@ -74,7 +75,7 @@ def _order_one(s, order):
         worst, where = _worst_triple(s, order)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def order_stars(offsets, s_i, order):
     """Number the stars of each exposure so that no three in sequence are collinear.
 
@@ -87,7 +88,7 @@ def order_stars(offsets, s_i, order):
         order[first:last] = first + local
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _tangent(a, b, out):
     """Unit tangent at ``a`` towards ``b``."""
     d = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
@@ -96,7 +97,7 @@ def _tangent(a, b, out):
     out[0], out[1], out[2] = x / norm, y / norm, z / norm
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def factor(offsets, s_i, order, sd, pair_i, pair_j, lower):
     """List the 2 N - 3 arcs of each exposure and factor their covariance.
 
@@ -129,7 +130,7 @@ def factor(offsets, s_i, order, sd, pair_i, pair_j, lower):
     return dropped
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _shared(s_i, sd, pair_i, pair_j, row, other, here, there):
     """Covariance of two arcs, eq (17): zero unless they share a star."""
     for side in range(2):
@@ -145,7 +146,7 @@ def _shared(s_i, sd, pair_i, pair_j, row, other, here, there):
     return 0.0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _cholesky_row(lower, row, start):
     variance = lower[row, BAND]
     for d in range(BAND, -1, -1):
@@ -165,7 +166,7 @@ def _cholesky_row(lower, row, start):
     return 0
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def whiten(pair_i, pair_j, lower, starts, arc_true, scale, slope, s_d, by_parameter, out):
     """Fill ``out`` (A, P + 1) with the whitened rows [H' | residual] at a camera.
 

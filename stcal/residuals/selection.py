@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from stcal.attitude import residual_angles, solve_wahba
+from stcal.attitude import attitude_covariance, residual_angles, solve_wahba
 from stcal.cameras import Camera
 from stcal.config import Noise
 from stcal.frames import MatchedFrames
@@ -16,7 +16,8 @@ from stcal.frames import MatchedFrames
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-_ROUNDS = 10
+# A star that the attitude follows almost wholly tells little about itself.
+_LEAST_FREEDOM = 0.1
 # Median of the Rayleigh distribution with unit sd per axis.
 _RAYLEIGH_MEDIAN = float(np.sqrt(2.0 * np.log(2.0)))
 
@@ -68,15 +69,14 @@ class StarSelection:
 def centroid_sd(noise: Noise, intensity: Floats) -> Floats:
     """Return the centroid sd (S,) in pixels per axis of a noise model.
 
-    A star without intensity gets the floor of the ``intensity`` model.
+    Under ``intensity``, a star of unknown intensity counts as one of the reference intensity, and
+    one of a hundredth of it or less (background subtraction gives negative counts too) as that.
     """
-    floor = np.full(len(intensity), noise.sd_px)
     if noise.model == "constant":
-        return floor
-    with np.errstate(divide="ignore", invalid="ignore"):
-        photon = noise.photon_sd_px**2 * noise.reference_intensity / intensity
-    known = np.isfinite(photon) & (photon > 0)
-    return np.asarray(np.sqrt(floor**2 + np.where(known, photon, 0.0)))
+        return np.full(len(intensity), noise.sd_px)
+    relative = np.where(np.isnan(intensity), 1.0, intensity / noise.reference_intensity)
+    photon = noise.photon_sd_px**2 / np.maximum(relative, 0.01)
+    return np.asarray(np.sqrt(noise.sd_px**2 + photon))
 
 
 def select_stars(matched: MatchedFrames, noise: Noise, minimum: int) -> StarSelection:
@@ -98,8 +98,8 @@ def select_stars(matched: MatchedFrames, noise: Noise, minimum: int) -> StarSele
 def star_departures(selection: StarSelection, camera: Camera) -> Floats:
     """Return each star's departure (K,) from its exposure's attitude, in units of its noise.
 
-    Scaled so that a star's departure has unit sd per axis: an attitude fitted to N stars takes 3
-    of the 2 N degrees of freedom.
+    Studentised: the attitude follows each of its stars a little, a far one among four a good deal,
+    so that E|r|^2 = 2 sd^2 - tr(P (1 - s s^T)) with P the attitude's covariance.
     """
     if len(selection.star) == 0:
         return np.empty(0)
@@ -107,8 +107,10 @@ def star_departures(selection: StarSelection, camera: Camera) -> Floats:
     sd = selection.sd_px * camera.noise_scale(selection.row_px, selection.col_px)
     c_di = solve_wahba(s_d, selection.s_i, sd**-2.0, selection.exposure, selection.n_exposures)
     angle = residual_angles(s_d, selection.s_i, c_di[selection.exposure])
-    n = np.diff(selection.offsets)[selection.exposure]
-    return angle / sd / np.sqrt((2.0 * n - 3.0) / (2.0 * n))
+    p = attitude_covariance(s_d, sd, selection.exposure, selection.n_exposures)[selection.exposure]
+    followed = np.trace(p, axis1=1, axis2=2) - np.einsum("ki,kij,kj->k", s_d, p, s_d)
+    expected = np.maximum(1.0 - 0.5 * followed / (sd * sd), _LEAST_FREEDOM)
+    return np.asarray(angle / sd / np.sqrt(expected))
 
 
 def robust_scale(departures: Floats) -> float:
@@ -123,7 +125,7 @@ def reject_outliers(
 
     One at a time, because a gross centroid bends the attitude that judges its neighbours.
     """
-    for _ in range(_ROUNDS):
+    for _ in range(int(np.diff(selection.offsets).max(initial=0))):
         departure = star_departures(selection, camera)
         worst = np.zeros(selection.n_exposures)
         np.maximum.at(worst, selection.exposure, departure)

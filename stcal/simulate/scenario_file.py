@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from stcal.config import SensorConfig, load_config
+from stcal.config import SensorConfig, load_config, path_beside
 from stcal.errors import ConfigError
 from stcal.reading import read_toml
 from stcal.simulate.scenario import PARTS, Scenario, cross_problems
@@ -23,7 +23,7 @@ def load_scenario(path: Path) -> Scenario:
     """
     document = read_toml(path)
     problems: list[str] = []
-    sensor = _sensor(document.get("sensor"), path.parent, problems)
+    sensor = _sensor(document.get("sensor"), path, problems)
     if sensor is not None:
         document["sensor"] = sensor
     try:
@@ -37,12 +37,12 @@ def load_scenario(path: Path) -> Scenario:
     return scenario
 
 
-def _sensor(name: Any, folder: Path, problems: list[str]) -> SensorConfig | None:
+def _sensor(name: Any, file: Path, problems: list[str]) -> SensorConfig | None:
     if not isinstance(name, str):
         problems.append("sensor: the path of the sensor's configuration is missing or not text")
         return None
     try:
-        return load_config((folder / name).resolve())
+        return load_config(path_beside(file, name, "sensor"))
     except ConfigError as error:
         problems.append(f"sensor: {error}")
         return None

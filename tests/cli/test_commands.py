@@ -134,6 +134,11 @@ def test_match_writes_one_row_per_star(work, capsys, tmp_path):
     assert fixed.sum() == document["frames_solved"]
     quaternion = attitudes.loc[fixed, ["q_x", "q_y", "q_z", "q_w"]].to_numpy()
     np.testing.assert_allclose((quaternion**2).sum(axis=1), 1.0, atol=1e-12)
+    sd = np.sqrt(attitudes.loc[fixed, "cov_zz_urad2"].to_numpy())
+    across = np.sqrt(attitudes.loc[fixed, "cov_xx_urad2"].to_numpy())
+    assert 5 < np.median(across) < 100
+    assert np.median(sd / across) > 3
+    assert attitudes.loc[~fixed, "cov_xx_urad2"].isna().all()
 
 
 def test_tables_for_people(work, capsys, tmp_path):
@@ -168,6 +173,16 @@ BAD = [
       "--from", "2031-01-01"], 3, SENSOR),
     (["fit", "--batch", "--store", "S", "--sensor", SENSOR, "--initial", INITIAL, "--out", "O",
       "--config", ROOT / "configs" / "esa_tetra3.toml"], 3, "esa_tetra3"),
+    (["fit", "--batch", "--store", "S", "--sensor", SENSOR, "--initial", INITIAL, "--out", "O",
+      "--from", "2014-09-05", "--to", "2014-09-04"], 2, "not before"),
+    (["fit", "--batch", "--store", "S", "--sensor", SENSOR, "--initial",
+      SAMPLE / "ST16-2.initial.json", "--out", "O"], 3, "sensor ST16-2, not ST16-4"),
+    (["validate", "--store", "S", "--sensor", SENSOR, "--baseline", INITIAL, "--candidate",
+      SAMPLE / "ST16-3.initial.json", "--out", "O"], 3, "ST16-3.initial.json"),
+    (["match", "--store", "S", "--sensor", SENSOR, "--calibration",
+      SAMPLE / "ST16-3.initial.json", "--out", "O"], 3, "sensor ST16-3, not ST16-4"),
+    (["fit", "--batch", "--store", "S", "--sensor", SENSOR, "--initial", INITIAL, "--out",
+      INITIAL / "x"], 2, "--out"),
     (["frobnicate"], 2, "frobnicate"),
 ]  # fmt: skip
 

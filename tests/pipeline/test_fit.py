@@ -55,6 +55,31 @@ def test_every_start_of_the_first_cycle_ends_in_the_same_camera(matches):
     assert (np.abs(lost.camera.parameters - other.camera.parameters) < 0.1 * sd).all()
 
 
+def test_a_fit_of_its_own_result_is_accepted():
+    data = simulation(4, 53, 300)
+    first = fit(data)
+    again = fit(data, initial=first.calibration)
+    assert again.accepted, again.document["verdict"]
+    assert again.calibration.serial == first.calibration.serial + 1
+
+
+def test_wrong_telemetered_matches_do_not_spoil_the_fit():
+    data = simulation(5, 53, 300)
+    frames = data.calibration.frames
+    rng = np.random.default_rng(2)
+    ids = frames.star_id.copy()
+    hit = (rng.random(frames.n_stars) < 0.1) & (ids != 0)
+    false = np.isin(frames.exposure_of_star, rng.choice(frames.n_exposures, 30, replace=False))
+    hit |= false & (ids != 0)
+    ids[hit] = rng.choice(st16_matcher().catalogue.star_id, int(hit.sum()))
+    clean = fit(data).calibration
+    result = fit(data, replace(frames, star_id=ids), matches="telemetry")
+    assert result.accepted, result.document["verdict"]
+    sd = np.sqrt(np.diag(clean.covariance))
+    found = result.calibration.camera.parameters
+    assert (np.abs(found - clean.camera.parameters) < 0.1 * sd).all()
+
+
 def test_gross_centroids_and_false_matches_do_not_move_the_fit():
     data = simulation(4, 54, 300)
     frames = data.calibration.frames

@@ -204,9 +204,9 @@ def test_noise_does_not_bias_the_gradient():
     m, n = camera.project(np.einsum("kij,kj->ki", c_di, stars.s_i))
     scores = {"following": [], "fixed": []}
     for _ in range(40):
-        row, col = m + rng.normal(0, 3.0, m.shape), n + rng.normal(0, 3.0, n.shape)
+        row, col = m + rng.normal(0, 4.0, m.shape), n + rng.normal(0, 4.0, n.shape)
         bound = bind_arclength(
-            replace(stars, row_px=row, col_px=col, sd_px=np.full(len(m), 3.0)), camera
+            replace(stars, row_px=row, col_px=col, sd_px=np.full(len(m), 4.0)), camera
         )
         fixed = replace(bound, slope=np.zeros_like(bound.slope))
         for name, one in (("following", bound), ("fixed", fixed)):

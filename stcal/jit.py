@@ -1,0 +1,55 @@
+"""How kernels are compiled: once, cached on disk, without holding the interpreter's lock.
+
+Numba's cache looks only at the file of the function that is called, not at those whose functions
+it inlines.  So the cache lies in a folder named by the content of all kernels: an edit anywhere
+compiles anew, and never runs stale code.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numba
+from numba.core import config as numba_config
+
+# Attributes of this module are made at run time.
+settings: Any = numba_config
+_PACKAGE = Path(__file__).parent
+
+
+def kernel(function: Callable[..., Any]) -> Any:
+    """Compile a function with numba when it is first called, and keep it on disk."""
+    before = settings.CACHE_DIR
+    settings.CACHE_DIR = str(cache_folder())
+    try:
+        return numba.njit(cache=True, nogil=True)(function)
+    finally:
+        settings.CACHE_DIR = before
+
+
+@cache
+def cache_folder() -> Path:
+    """Return the folder of compiled kernels: NUMBA_CACHE_DIR, the package's, or the user's."""
+    name = f"kernels-{_content_hash()}"
+    given = os.environ.get("NUMBA_CACHE_DIR")
+    if given:
+        return Path(given) / name
+    beside = _PACKAGE / "__pycache__"
+    try:
+        beside.mkdir(exist_ok=True)
+        writable = os.access(beside, os.W_OK)
+    except OSError:
+        writable = False
+    return (beside if writable else Path.home() / ".cache" / "stcal") / name
+
+
+def _content_hash() -> str:
+    content = hashlib.sha256()
+    for path in sorted(_PACKAGE.rglob("*kernels.py")):
+        content.update(path.read_bytes())
+    return content.hexdigest()[:16]
