@@ -20,8 +20,7 @@ from stcal.constants import DAY_S, TT_MINUS_TAI_S
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-UTC_PATTERN = r"^\d{4}-\d{2}-\d{2}T\d{2}:\d{2}:(\d{2})(\.\d{1,9})?Z$"
-_UTC = re.compile(UTC_PATTERN)
+_UTC = re.compile(r"\d{4}-\d{2}-\d{2}T\d{2}:\d{2}:(\d{2})(\.\d{1,9})?Z", re.ASCII)
 # int64 nanoseconds end in 2262.
 _YEARS = (1972, 2261)
 _NS = 1_000_000_000
@@ -69,7 +68,7 @@ def parse_utc(text: str) -> int:
     ValueError
         With the text and what is wrong with it.
     """
-    match = _UTC.match(text)
+    match = _UTC.fullmatch(text)
     if match is None:
         raise ValueError(f"{text!r} is not an ISO 8601 UTC time such as 2026-01-05T12:00:00.000Z")
     if int(text[:4]) > _YEARS[1]:

@@ -55,6 +55,9 @@ def test_the_leap_second_of_2016():
         ("1969-01-05T12:00:00Z", "1972"),
         ("", "ISO 8601"),
         ("9999-01-05T12:00:00Z", "beyond the year"),
+        ("2026-01-05T12:00:00Z\n", "ISO 8601"),
+        ("２０２６-01-05T12:00:00Z", "ISO 8601"),
+        ("2026-01-05T12:00:00.٥Z", "ISO 8601"),
     ],
 )
 def test_what_is_no_utc_time_is_refused(text, message):

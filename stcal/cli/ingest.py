@@ -30,7 +30,7 @@ _ALWAYS = ("rows", "frames", "new_frames", "duplicate_frames", "stars", "quarant
 
 
 @click.command(name="ingest")
-@click.argument("sources", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("sources", nargs=-1, required=True, type=click.Path(path_type=Path, readable=False))
 @click.option(
     "--store",
     "store_path",

@@ -9,6 +9,7 @@ from urllib.parse import quote
 from stcal.atomic import write_text
 from stcal.config import SensorConfig, config_from_json, config_json
 from stcal.errors import ConfigError
+from stcal.telemetry.parquet import make_folder
 
 FOLDER = "configs"
 
@@ -18,7 +19,8 @@ def record(store: Path, configs: Sequence[SensorConfig]) -> None:
     for config in configs:
         path = store / FOLDER / f"{quote(config.name, safe=' ')}.json"
         content = config_json(config)
-        if not (path.exists() and path.read_text(encoding="utf-8") == content):
+        if not (path.exists() and _read(path) == content):
+            make_folder(path.parent)
             write_text(path, content)
 
 
@@ -28,11 +30,11 @@ def recorded_for(store: Path, sensor_id: str) -> SensorConfig:
     Raises
     ------
     ConfigError
-        None applies, or more than one does.
+        None applies, or more than one does, or one is damaged.
     """
     found = []
     for path in sorted((store / FOLDER).glob("*.json")):
-        config = config_from_json(path.read_text(encoding="utf-8"), path)
+        config = config_from_json(_read(path), path)
         if config.applies_to(sensor_id):
             found.append(config)
     if len(found) == 1:
@@ -43,3 +45,12 @@ def recorded_for(store: Path, sensor_id: str) -> SensorConfig:
         + (f" ({', '.join(c.name for c in found)})" if found else "")
         + "; name one with --config"
     )
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: not UTF-8: {error}") from None

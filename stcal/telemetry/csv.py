@@ -43,7 +43,7 @@ class _Header:
 def sniff(head: bytes) -> bool:
     """Whether the first line names a telemetry column."""
     first = head.removeprefix(b"\xef\xbb\xbf").split(b"\n", 1)[0]
-    return b"sensor_id" in first and not first.lstrip().startswith(b"{")
+    return b"sensor_id" in first and not first.lstrip().startswith((b"{", b"["))
 
 
 def decode(

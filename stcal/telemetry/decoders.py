@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import re
+
 from stcal.errors import InputError
 from stcal.telemetry import csv, jsonl
 from stcal.telemetry.block import Decoder
 from stcal.telemetry.sources import SourceFile
 
 DECODERS = {decoder.name: decoder for decoder in (csv.DECODER, jsonl.DECODER)}
+# A first line that is only garbage, such as [1, 2], must not cost the file.
+_ARRAY = re.compile(rb"(\xef\xbb\xbf)?\s*\[\s*(\{|\]?\s*$)")
 
 
 def choose(source: SourceFile) -> Decoder:
@@ -16,8 +20,10 @@ def choose(source: SourceFile) -> Decoder:
     Raises
     ------
     InputError
-        Naming the file when neither tells.
+        Naming the file when neither tells, or when it is one JSON array of frames.
     """
+    if _ARRAY.match(source.head):
+        raise InputError(f"{source.path}: a JSON array, not JSON Lines (one frame a line)")
     for decoder in DECODERS.values():
         if decoder.sniff(source.head):
             return decoder

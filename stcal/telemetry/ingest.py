@@ -21,6 +21,7 @@ from stcal.telemetry import configurations, quarantine
 from stcal.telemetry.assemble import Assembled, assemble
 from stcal.telemetry.decoders import choose
 from stcal.telemetry.merge import Outcome
+from stcal.telemetry.names import printable
 from stcal.telemetry.quarantine import CONFLICT, Rejection
 from stcal.telemetry.schema import StoredFrames
 from stcal.telemetry.sensors import Sensors
@@ -70,7 +71,7 @@ def ingest(
         configurations.record(store.root, configs)
         for done, path in enumerate(files):
             if progress is not None:
-                progress(path.name, done, len(files))
+                progress(printable(path.name), done, len(files))
             summaries.append(_ingest_file(path, store, sensors, window_rows))
     if progress is not None:
         progress("", len(files), len(files))
@@ -79,14 +80,14 @@ def ingest(
 
 
 def _ingest_file(path: Path, store: Store, sensors: Sensors, window_rows: int) -> SourceSummary:
-    summary = SourceSummary(path)
+    summary = SourceSummary(Path(printable(path)))
     warnings: list[str] = []
     try:
         source = examine(path)
         decoder = choose(source)
         blocks = decoder.decode(source, warnings.append)
     except InputError as error:
-        summary.error = str(error)
+        summary.error = printable(str(error))
         return summary
     summary.sha256, summary.format = source.sha256, decoder.name
     parts: list[Path] = []
@@ -99,7 +100,9 @@ def _ingest_file(path: Path, store: Store, sensors: Sensors, window_rows: int) -
     if summary.counts.rows == 0:
         warnings.append("the file holds no rows")
     if source.truncated:
-        summary.error = f"{path}: the gzip stream is cut; what it holds before the cut was taken"
+        summary.error = (
+            f"{summary.path}: the gzip stream is cut; what it holds before the cut was taken"
+        )
     summary.warnings = unique([*source.warnings, *warnings])
     return summary
 
@@ -112,7 +115,7 @@ def _until_error(windows: Iterator[_Window], summary: SourceSummary) -> Iterator
         except ConfigError:
             raise
         except InputError as error:
-            summary.error = str(error)
+            summary.error = printable(str(error))
             return
         if window is None:
             return
@@ -187,9 +190,10 @@ def _commit(
     """Write a window's quarantine, then its frames; return the quarantine files written."""
     parts = []
     if window.rejected:
-        name, sha256 = source.path.name, source.sha256
         parts.append(
-            quarantine.write_source_part(store.root, name, sha256, number, window.rejected)
+            quarantine.write_source_part(
+                store.root, source.name, source.sha256, number, window.rejected
+            )
         )
     for record in window.rejected:
         summary.quarantined[record.code] += record.rows
@@ -222,7 +226,7 @@ def _with_source(
     n = len(which)
     return StoredFrames(
         frames.of_sensor(which, sensor_id),
-        np.full(n, source.path.name, dtype=object),
+        np.full(n, source.name, dtype=object),
         np.full(n, source.sha256, dtype=object),
         frames.row[which],
     )

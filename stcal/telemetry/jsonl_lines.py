@@ -27,7 +27,11 @@ Row = dict[str, str]
 
 
 class _NotAFrameError(ValueError):
-    """The line is no frame; the message says why."""
+    """The line is no frame; the message says why, the code is the quarantine's."""
+
+    def __init__(self, message: str, code: str = "bad_json") -> None:
+        super().__init__(message)
+        self.code = code
 
 
 def read_lines(
@@ -92,7 +96,7 @@ def read_line(line: bytes, warn: Callable[[str], None]) -> list[Row] | tuple[str
         document = json.loads(text, object_pairs_hook=_object)
         return list(_rows(document, warn))
     except _NotAFrameError as error:
-        return "bad_json", str(error)
+        return error.code, str(error)
     # ValueError: syntax, or an integer of thousands of digits; RecursionError: deep nesting.
     except (ValueError, RecursionError) as error:
         return "bad_json", f"not JSON: {error}"
@@ -132,6 +136,9 @@ def _frame(document: Any, warn: Callable[[str], None]) -> Row:
     if not isinstance(document, dict):
         raise _NotAFrameError("the line is not a JSON object")
     _warn_unknown(document, FRAME_KEYS, warn)
+    sensor_id = document.get("sensor_id")
+    if isinstance(sensor_id, str) and any("\ud800" <= c <= "\udfff" for c in sensor_id):
+        raise _NotAFrameError(f"sensor_id is {sensor_id!r}: a lone surrogate", "bad_sensor_id")
     frame = {key: _text(document.get(key)) for key in (*_SCALARS, *_OPTIONAL)}
     for key, names in LISTS.items():
         values = document.get(key)
@@ -155,4 +162,4 @@ def _text(value: Any) -> str:
 def _warn_unknown(document: dict[str, Any], known: Any, warn: Callable[[str], None]) -> None:
     for key in document:
         if key not in known:
-            warn(f"unknown key ignored: {key}")
+            warn(f"unknown key ignored: {_text(key)}")

@@ -12,14 +12,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
 
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
-from stcal import atomic
-from stcal.errors import InputError
+from stcal.telemetry import parquet
 
 FOLDER = "quarantine"
 CONFLICT = "conflict"
@@ -119,7 +116,7 @@ def write_source_part(
         }
         for record in ordered
     ]
-    _write(path, pa.Table.from_pylist(records, schema=schema()))
+    parquet.write(path, pa.Table.from_pylist(records, schema=schema()))
     return path
 
 
@@ -153,7 +150,7 @@ def write_conflicts(path: Path, lost: Iterable[LostVersion]) -> None:
         {**vars(version), "frame_id": str(version.frame_id), "code": CONFLICT, "detail": detail}
         for version in ordered
     ]
-    _write(path, pa.Table.from_pylist(records, schema=schema()))
+    parquet.write(path, pa.Table.from_pylist(records, schema=schema()))
 
 
 def read_file(path: Path) -> pa.Table:
@@ -162,13 +159,11 @@ def read_file(path: Path) -> pa.Table:
     Raises
     ------
     InputError
-        Naming the file when it is damaged.
+        Naming the file when it cannot be read or is damaged.
     """
-    try:
-        # Not read_table: it would invent columns from the folder names.
-        return pq.ParquetFile(path).read()
-    except (pa.ArrowException, OSError) as error:
-        raise InputError(f"{path}: damaged quarantine file: {error}") from None
+    with parquet.reading(path, "quarantine file") as file:
+        parquet.check_columns(file.schema_arrow, schema(), str(path))
+        return file.read()
 
 
 def read_all(store: Path) -> pa.Table:
@@ -191,13 +186,6 @@ def total_rows(table: pa.Table) -> int:
 
 def _source_path(store: Path, sha256: str, part: int) -> Path:
     return store / FOLDER / (f"{sha256}-{part:04d}.parquet" if part else f"{sha256}.parquet")
-
-
-def _write(path: Path, table: pa.Table) -> None:
-    def fill(stream: BinaryIO) -> None:
-        pq.write_table(table, stream, compression="zstd")
-
-    atomic.write_with(path, fill)
 
 
 def _encodable(text: str) -> str:

@@ -21,6 +21,7 @@ from stcal.constants import EXPOSURES_PER_FRAME
 from stcal.errors import InputError
 from stcal.frames import Floats, FrameBatch, Ints, concatenate
 from stcal.telemetry.columns import FLAGS, UNITS, VECTORS
+from stcal.telemetry.parquet import check_columns
 from stcal.times import utc_from_tai_ns
 
 SCHEMA = "stcal.frames"
@@ -97,7 +98,7 @@ def frame_schema() -> pa.Schema:
 
 
 def check_version(schema: pa.Schema, where: str) -> None:
-    """Refuse a fragment that is not of this schema, or of a newer version.
+    """Refuse a fragment that is not of this schema, of a newer version, or has other columns.
 
     Raises
     ------
@@ -115,6 +116,7 @@ def check_version(schema: pa.Schema, where: str) -> None:
             f"{where}: written with schema version {text}, this stcal reads up to {VERSION}; "
             "use a newer stcal"
         )
+    check_columns(schema, frame_schema(), where)
 
 
 def table_from_stored(stored: StoredFrames) -> pa.Table:

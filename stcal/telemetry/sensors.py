@@ -8,8 +8,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from stcal.config import SensorConfig
-from stcal.errors import ConfigError
+from stcal.errors import ConfigError, InputError
 from stcal.frames import Floats, Ints
+from stcal.telemetry.names import MAXIMUM_FOLDER_BYTES, sensor_folder
 from stcal.telemetry.schema import Objects
 
 _LONGEST_NAME = 64
@@ -25,7 +26,8 @@ class Sensors:
     """
 
     PROBLEMS: ClassVar[dict[str, str]] = {
-        "bad_sensor_id": f"not 1 to {_LONGEST_NAME} printable characters",
+        "bad_sensor_id": f"not 1 to {_LONGEST_NAME} printable characters that make "
+        f"a folder's name of at most {MAXIMUM_FOLDER_BYTES} bytes",
         "unknown_sensor": "no configuration given applies to it",
     }
 
@@ -60,7 +62,7 @@ class Sensors:
         return self._known[name]
 
     def _resolve(self, name: str) -> tuple[int, str]:
-        if not name or len(name) > _LONGEST_NAME or not name.isprintable():
+        if not _is_valid(name):
             return 0, "bad_sensor_id"
         configs = [config for config in self._configs if config.applies_to(name)]
         if not configs:
@@ -78,3 +80,13 @@ class Sensors:
             self.quaternion_norm_tolerance, configs[0].ingest.quaternion_norm_tolerance
         )
         return len(self.names) - 1, ""
+
+
+def _is_valid(name: str) -> bool:
+    if not name or len(name) > _LONGEST_NAME or not name.isprintable():
+        return False
+    try:
+        sensor_folder(name)
+    except InputError:
+        return False
+    return True

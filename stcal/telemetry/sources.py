@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+import os
+import stat
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from stcal.errors import InputError
+from stcal.telemetry.names import printable
 
 EXTENSIONS = (".csv", ".csv.gz", ".jsonl", ".jsonl.gz")
 HEAD_BYTES = 1 << 16
@@ -47,23 +50,34 @@ class SourceFile:
     truncated: bool = False
     warnings: tuple[str, ...] = ()
 
+    @property
+    def name(self) -> str:
+        """The file's name as the store keeps it."""
+        return printable(self.path.name)
+
 
 def find_sources(given: list[Path]) -> list[Path]:
     """Return the files named, folders replaced by their telemetry files, each file once.
 
-    Raises nothing: a path that is not there stays in the list and is reported when it is opened.
+    Raises nothing: a path that cannot be used stays in the list and is reported when it is opened.
     """
     found: list[Path] = []
     for path in given:
-        if path.is_dir():
-            inside = (p for p in path.iterdir() if p.is_file() and p.name.endswith(EXTENSIONS))
-            found += sorted(inside) or [path]
-        else:
-            found.append(path)
-    first: dict[Path, Path] = {}
+        # os.path, because Path's own is_dir and resolve raise for some paths.
+        found += (_inside(path) if os.path.isdir(path) else []) or [path]
+    first: dict[str, Path] = {}
     for path in found:
-        first.setdefault(path.resolve(), path)
+        first.setdefault(os.path.realpath(path), path)
     return list(first.values())
+
+
+def _inside(folder: Path) -> list[Path]:
+    """Return the telemetry files of a folder, none when it cannot be read."""
+    try:
+        names = sorted(name for name in os.listdir(folder) if name.endswith(EXTENSIONS))
+    except OSError:
+        return []
+    return [folder / name for name in names if os.path.isfile(folder / name)]
 
 
 def examine(path: Path) -> SourceFile:
@@ -75,10 +89,7 @@ def examine(path: Path) -> SourceFile:
         Naming the file: unreadable, empty, a gzip stream whose content does not fit its checksum
         (nothing of it can be trusted), another kind of file, or a line beyond 16 MiB.
     """
-    if path.is_dir():
-        raise InputError(f"{path}: a folder without {', '.join('*' + e for e in EXTENSIONS)} files")
-    if path.exists() and not path.is_file():
-        raise InputError(f"{path}: is not a regular file")
+    _check_kind(path)
     digest, size = hashlib.sha256(), 0
     text = _TextCheck(path)
     unpack = None
@@ -97,6 +108,19 @@ def examine(path: Path) -> SourceFile:
     head = bytes(text.head)
     sha256 = digest.hexdigest()
     return SourceFile(path, size, sha256, unpack is not None, head, truncated, warnings)
+
+
+def _check_kind(path: Path) -> None:
+    try:
+        mode = path.stat().st_mode
+        if stat.S_ISDIR(mode):
+            os.listdir(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    if stat.S_ISDIR(mode):
+        raise InputError(f"{path}: a folder without {', '.join('*' + e for e in EXTENSIONS)} files")
+    if not stat.S_ISREG(mode):
+        raise InputError(f"{path}: is not a regular file")
 
 
 def stream(source: SourceFile) -> Iterator[bytes]:

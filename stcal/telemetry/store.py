@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from datetime import date
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, BinaryIO
-from urllib.parse import quote, unquote
+from typing import Any, TextIO
+from urllib.parse import unquote
 
 import numpy as np
 import pyarrow as pa
@@ -23,10 +23,12 @@ import pyarrow.parquet as pq
 
 from stcal import atomic
 from stcal.errors import InputError
-from stcal.frames import FrameBatch, concatenate
-from stcal.telemetry import quarantine
+from stcal.frames import FrameBatch, Ints, concatenate
+from stcal.reading import read_json_object
+from stcal.telemetry import parquet, quarantine
 from stcal.telemetry.content import ContentHash
 from stcal.telemetry.merge import Merge, merge
+from stcal.telemetry.names import sensor_folder
 from stcal.telemetry.schema import (
     StoredFrames,
     batch_from_table,
@@ -45,6 +47,7 @@ MAXIMUM_FRAMES = 20_000
 _FRAGMENT = "frames.parquet"
 _ROW_GROUP_FRAMES = 5_000
 _DAY_NS = 86_400 * 1_000_000_000
+_REMEDY = "; move it away and ingest its files again"
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,7 @@ class Store:
             There is none, the folder holds something else, or a newer stcal wrote it.
         """
         marker = path / MARKER
-        if not marker.exists():
+        if not _is_there(marker):
             if not create:
                 raise InputError(f"{path}: no stcal store here ({MARKER} is missing)")
             _create(path)
@@ -88,7 +91,8 @@ class Store:
     def sensors(self) -> list[str]:
         """Return the sensors that the store has frames of, sorted."""
         folders = (self.root / FRAMES).glob("sensor=*")
-        return sorted(unquote(f.name.removeprefix("sensor=")) for f in folders if any(f.iterdir()))
+        filled = (f.name for f in folders if f.is_dir() and any(f.iterdir()))
+        return sorted(unquote(name.removeprefix("sensor=")) for name in filled)
 
     def fragments(
         self,
@@ -105,7 +109,8 @@ class Store:
         Raises
         ------
         InputError
-            Naming the store: the sensor is not in it, or has no frames in that time.
+            Naming the store: the sensor is not in it, or has no frames in that time; or naming a
+            fragment that is damaged.
         """
         found: list[Fragment] = []
         for path in self._days(sensor_id):
@@ -150,7 +155,7 @@ class Store:
             quarantine.write_conflicts(conflicts, merged.lost)
         table = table_from_stored(merged.kept)
         if stored is None or not table.equals(table_from_stored(stored)):
-            _write(path, table)
+            parquet.write(path, table, row_group_size=_ROW_GROUP_FRAMES)
         return merged
 
     @contextmanager
@@ -160,9 +165,9 @@ class Store:
         Raises
         ------
         InputError
-            Another process holds it; the message has its number.
+            Another process holds it (the message has its number), or it cannot be written.
         """
-        with (self.root / LOCK).open("a+") as stream:
+        with self._open_lock() as stream:
             try:
                 fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
@@ -175,11 +180,20 @@ class Store:
             stream.write(str(os.getpid()))
             stream.flush()
             for left in self.root.rglob(f"{atomic.TEMPORARY_PREFIX}*"):
-                left.unlink(missing_ok=True)
+                if not left.is_dir():
+                    left.unlink(missing_ok=True)
             try:
                 yield
             finally:
                 stream.truncate(0)
+
+    def _open_lock(self) -> TextIO:
+        try:
+            return (self.root / LOCK).open("a+")
+        except OSError as error:
+            raise InputError(
+                f"{self.root / LOCK}: the store cannot be locked for writing: {error.strerror}"
+            ) from None
 
     def _folder(self, sensor_id: str) -> Path:
         return self.root / FRAMES / sensor_folder(sensor_id)
@@ -198,11 +212,6 @@ class Store:
             f"{self.root}: no frames of sensor {sensor_id!r} in [{', '.join(limits)}); "
             f"it has frames from {first} to {last}"
         )
-
-
-def sensor_folder(sensor_id: str) -> str:
-    """Return the folder's name of a sensor; no character of it can leave the folder."""
-    return "sensor=" + quote(sensor_id, safe="")
 
 
 def read_fragment(fragment: Fragment) -> FrameBatch:
@@ -233,12 +242,11 @@ def _split(
     path: Path, sensor_id: str, start: int | None, stop: int | None, maximum: int
 ) -> list[Fragment]:
     with _reading(path) as file:
-        total = file.metadata.num_rows
-        first, last = 0, total
-        if start is not None or stop is not None:
-            times = file.read(["t_tai_ns"])["t_tai_ns"].to_numpy()
-            first = 0 if start is None else int(np.searchsorted(times, start))
-            last = total if stop is None else int(np.searchsorted(times, stop))
+        times = file.read(["t_tai_ns"])["t_tai_ns"].to_numpy()
+    _check_order(path, times)
+    total = len(times)
+    first = 0 if start is None else int(np.searchsorted(times, start))
+    last = total if stop is None else int(np.searchsorted(times, stop))
     if last <= first:
         return []
     edges = np.linspace(first, last, -(-(last - first) // maximum) + 1).astype(int).tolist()
@@ -259,27 +267,32 @@ def _may_overlap(path: Path, start: int | None, stop: int | None) -> bool:
 
 @contextmanager
 def _reading(path: Path) -> Iterator[pq.ParquetFile]:
-    try:
-        # Not read_table: it would invent columns from the folder names.
-        with pq.ParquetFile(path) as file:
-            check_version(file.schema_arrow, str(path))
-            yield file
-    except (pa.ArrowException, OSError) as error:
-        raise InputError(
-            f"{path}: damaged fragment: {error}; move it away and ingest its files again"
-        ) from None
+    with parquet.reading(path, "fragment", _REMEDY) as file:
+        check_version(file.schema_arrow, str(path))
+        yield file
+
+
+def _check_order(path: Path, times: Ints) -> None:
+    """Refuse a fragment that is not in time order: time ranges are found by bisection."""
+    if np.any(times[1:] < times[:-1]):
+        raise InputError(f"{path}: damaged fragment: not in the order of time{_REMEDY}")
 
 
 def _read(path: Path) -> pa.Table:
     with _reading(path) as file:
-        return file.read()
+        table = file.read()
+    _check_order(path, table["t_tai_ns"].to_numpy())
+    return table
 
 
-def _write(path: Path, table: pa.Table) -> None:
-    def fill(stream: BinaryIO) -> None:
-        pq.write_table(table, stream, compression="zstd", row_group_size=_ROW_GROUP_FRAMES)
-
-    atomic.write_with(path, fill)
+def _is_there(marker: Path) -> bool:
+    try:
+        marker.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    except OSError as error:
+        raise InputError(f"{marker}: cannot be read: {error.strerror}") from None
+    return True
 
 
 def _create(path: Path) -> None:
@@ -288,17 +301,17 @@ def _create(path: Path) -> None:
     if path.is_dir() and any(not child.name.startswith(".") for child in path.iterdir()):
         raise InputError(f"{path}: is neither a store nor empty; name another folder")
     document: dict[str, Any] = {"schema": SCHEMA, "version": VERSION}
+    parquet.make_folder(path)
     atomic.write_text(path / MARKER, json.dumps(document) + "\n")
 
 
 def _check_marker(marker: Path) -> None:
-    try:
-        document = json.loads(marker.read_text("utf-8"))
-        schema, version = document["schema"], document["version"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{marker}: not the marker of a store: {error}") from None
-    if schema != SCHEMA or not isinstance(version, int):
-        raise InputError(f"{marker}: schema {schema!r}, version {version!r} is not {SCHEMA!r}")
+    document = read_json_object(marker)
+    schema, version = document.get("schema"), document.get("version")
+    if schema != SCHEMA:
+        raise InputError(f"{marker}: not the marker of a store: schema {schema!r}, not {SCHEMA!r}")
+    if type(version) is not int or version < 1:  # true is an int too
+        raise InputError(f"{marker}: store version {version!r} is not a version")
     if version > VERSION:
         raise InputError(
             f"{marker}: written with store version {version}, this stcal reads up to {VERSION}; "

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import gzip
 import json
+import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -36,6 +39,7 @@ STAR_FAULTS = [
 FRAME_FAULTS = [
     ({"sensor_id": ""}, "bad_sensor_id", "sensor_id is ''"),
     ({"sensor_id": "ST16-" + "9" * 70}, "bad_sensor_id", "64"),
+    ({"sensor_id": "ST16-" + "\U0001f6f0" * 16}, "bad_sensor_id", "200 bytes"),
     ({"sensor_id": "ST17-1"}, "unknown_sensor", "'ST17-1'"),
     ({"frame_id": ""}, "bad_frame_id", "''"),
     ({"frame_id": "seven"}, "bad_frame_id", "'seven'"),
@@ -194,6 +198,25 @@ def test_unknown_columns_are_named_and_ignored(tmp_path):
     assert store.read_frames("ST16-1").n_stars == 2
 
 
+def json_frame(f: int, seed: int = 0, n: int = 2, **changes: object) -> dict:
+    rng = np.random.default_rng(seed)
+    stars = [
+        {"row_px": rng.uniform(0, 1900), "col_px": 2.0, "intensity": None, "star_id": "HIP 5"}
+        for _ in range(n)
+    ]
+    frame = {
+        "sensor_id": "ST16-1",
+        "frame_id": f,
+        "time_utc": f"2026-01-05T12:00:{f:02d}.000Z",
+        "best_exposure": 0,
+        "quaternion": [0.5, 0.5, 0.5, 0.5],
+        "rate_deg_s": None,
+        "temperature_c": 20.5,
+        "exposures": [{"exposure": 0, "stars": stars}, {"exposure": 1, "stars": []}],
+    }
+    return frame | changes
+
+
 def bad_files() -> dict[str, tuple[bytes, str]]:
     text = cases.csv_text(cases.frames(3))
     header, body = text.split("\n", 1)
@@ -213,6 +236,9 @@ def bad_files() -> dict[str, tuple[bytes, str]]:
         "junk.jsonl": (bytes(range(255, 0, -1)) * 50, "not UTF-8"),
         "packed.csv": (b"PK\x03\x04" + b"\x01" * 100, "zip"),
         "flipped.csv.gz": (flipped, "damaged"),
+        "array.jsonl": (f"[{json.dumps(json_frame(0))}]".encode(), "a JSON array, not JSON Lines"),
+        "spread.jsonl": (json.dumps([json_frame(0)], indent=1).encode(), "a JSON array"),
+        "no-frames.jsonl": (b"\xef\xbb\xbf [\n]\n", "a JSON array"),
         "note.txt": (b"hello\n", "not telemetry"),
         "header.csv": (b"a,b,c\n1,2,3\n", "missing column(s): sensor_id, frame_id, time_utc"),
     }
@@ -239,6 +265,83 @@ def test_a_path_that_is_not_there_and_an_empty_folder(tmp_path):
     assert summary.exit_code == 3
     assert "no.csv: cannot be read: No such file" in summary.errors[0]
     assert "folder: a folder without" in summary.errors[1]
+
+
+def test_garbage_before_json_lines_costs_its_line_only(tmp_path):
+    (tmp_path / "a.jsonl").write_text('["sensor_id", 2]\n' + json.dumps(json_frame(0)) + "\n")
+    store, summary = cases.run(tmp_path, tmp_path / "a.jsonl")
+    assert summary.quarantined == {"bad_json": 1}
+    assert store.read_frames("ST16-1").n_frames == 1
+
+
+def unusable(folder):
+    """Return sources that the file system itself refuses, with what is said of each."""
+    (folder / "loop.csv").symlink_to(folder / "back.csv")
+    (folder / "back.csv").symlink_to(folder / "loop.csv")
+    os.mkfifo(folder / "pipe.csv")
+    return {
+        folder / "loop.csv": "loop.csv: cannot be read: Too many levels",
+        folder / "pipe.csv": "pipe.csv: is not a regular file",
+        folder / ("n" * 300): "cannot be read: File name too long",
+        folder / "good.csv" / "x.csv": "cannot be read: Not a directory",
+    }
+
+
+def test_what_the_file_system_refuses_is_an_error_of_that_source_only(tmp_path):
+    good = cases.write_rows(tmp_path / "good.csv", cases.frames(3))
+    expected = unusable(tmp_path)
+    store, summary = cases.run(tmp_path, *expected, good)
+    assert summary.exit_code == 3
+    for said, source in zip(expected.values(), summary.sources, strict=False):
+        assert said in source.error
+    assert summary.sources[-1].error is None
+    assert store.read_frames("ST16-1").n_frames == 3
+
+
+def test_sources_without_permission_are_errors_of_their_own(tmp_path, monkeypatch):
+    good = cases.write_rows(tmp_path / "good.csv", cases.frames(3))
+    closed = cases.write_rows(tmp_path / "closed.csv", cases.frames(3))
+    (tmp_path / "folder").mkdir()
+
+    def refusing(function, refused):
+        def call(path, *arguments, **options):
+            if os.fspath(path) == str(refused):
+                raise PermissionError(errno.EACCES, "Permission denied", str(path))
+            return function(path, *arguments, **options)
+
+        return call
+
+    monkeypatch.setattr("pathlib.Path.open", refusing(Path.open, closed))
+    monkeypatch.setattr("os.listdir", refusing(os.listdir, tmp_path / "folder"))
+    store, summary = cases.run(tmp_path, closed, tmp_path / "folder", good)
+    assert summary.errors == [
+        f"{closed}: cannot be read: Permission denied",
+        f"{tmp_path / 'folder'}: cannot be read: Permission denied",
+    ]
+    assert store.read_frames("ST16-1").n_frames == 3
+
+
+def test_names_that_are_not_utf8_are_written_as_escapes(tmp_path):
+    folder = tmp_path / os.fsdecode(b"pass\xff")
+    folder.mkdir()
+    cases.write_rows(
+        folder / os.fsdecode(b"a\xff.csv"), [*cases.rows(2), cases.ROW | {"row_px": "x"}]
+    )
+    (folder / os.fsdecode(b"b\xfe.csv")).write_text("")
+    cases.write_rows(folder / os.fsdecode(b"c\xfe.csv"), cases.rows(1))
+    seen = []
+    store, summary = cases.run(
+        tmp_path, folder, progress=lambda name, done, total: seen.append(name)
+    )
+    assert [source.path.name for source in summary.sources] == [
+        "a\\xff.csv",
+        "b\\xfe.csv",
+        "c\\xfe.csv",
+    ]
+    assert summary.errors == [f"{tmp_path}/pass\\xff/b\\xfe.csv: the file is empty"]
+    assert {record["source"] for record in cases.records(store)} == {"a\\xff.csv", "c\\xfe.csv"}
+    assert seen[:2] == ["a\\xff.csv", "b\\xfe.csv"]
+    json.dumps(summary.document(), ensure_ascii=False).encode()
 
 
 def test_header_alone_is_no_error(tmp_path):
@@ -283,25 +386,6 @@ def test_truncated_json_lines_lose_the_cut_line_only(tmp_path):
     assert lines[n].startswith(record["raw"])
 
 
-def json_frame(f: int, seed: int = 0, n: int = 2, **changes: object) -> dict:
-    rng = np.random.default_rng(seed)
-    stars = [
-        {"row_px": rng.uniform(0, 1900), "col_px": 2.0, "intensity": None, "star_id": "HIP 5"}
-        for _ in range(n)
-    ]
-    frame = {
-        "sensor_id": "ST16-1",
-        "frame_id": f,
-        "time_utc": f"2026-01-05T12:00:{f:02d}.000Z",
-        "best_exposure": 0,
-        "quaternion": [0.5, 0.5, 0.5, 0.5],
-        "rate_deg_s": None,
-        "temperature_c": 20.5,
-        "exposures": [{"exposure": 0, "stars": stars}, {"exposure": 1, "stars": []}],
-    }
-    return frame | changes
-
-
 BROKEN_LINES = {
     "{": ("bad_json", "not JSON"),
     "[1, 2]": ("bad_json", "not a JSON object"),
@@ -319,7 +403,7 @@ BROKEN_LINES = {
     json.dumps(json_frame(1, frame_id=10**30)): ("bad_frame_id", "18 digits"),
     json.dumps(json_frame(1, time_utc=None)): ("bad_time", "''"),
     json.dumps(json_frame(1, sensor_id="ST17")): ("unknown_sensor", "ST17"),
-    json.dumps(json_frame(1, sensor_id="\ud800")): ("unknown_sensor", "ud800"),
+    json.dumps(json_frame(1, sensor_id="ST16-\ud800")): ("bad_sensor_id", "ud800"),
     json.dumps(json_frame(1, temperature_c=True)): ("bad_temperature", "true"),
     json.dumps(json_frame(1, temperature_c=[1])): ("bad_temperature", "[1]"),
 }
@@ -375,13 +459,15 @@ def test_the_careful_reader_gives_the_same_rows_as_the_fast_one(tmp_path):
 
 
 def test_unknown_json_keys_are_named(tmp_path):
-    frame = json_frame(0) | {"mode": "x"}
+    frame = json_frame(0) | {"mode": "x", "\udcff": 1}
     frame["exposures"][0]["stars"][0]["snr"] = 5
     (tmp_path / "a.jsonl").write_text(json.dumps(frame) + "\n")
     (tmp_path / "b.jsonl").write_text(json.dumps(frame) + "\n{\n")
     _, summary = cases.run(tmp_path, tmp_path / "a.jsonl", tmp_path / "b.jsonl")
     for source in summary.sources:
-        assert set(source.warnings) == {"unknown key ignored: mode", "unknown key ignored: snr"}
+        assert set(source.warnings) == {
+            f"unknown key ignored: {key}" for key in ("mode", "snr", "\\udcff")
+        }
 
 
 def test_unknown_lists_with_nulls_do_no_harm(tmp_path):

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import pickle
 import subprocess
 import sys
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import telemetry_cases as cases
 
-from stcal.errors import InputError
+from stcal.errors import ConfigError, InputError
 from stcal.frames import concatenate
+from stcal.telemetry.configurations import recorded_for
 from stcal.telemetry.store import Store, read_fragment
 from stcal.telemetry.writer import write_csv
 from stcal.times import parse_utc
@@ -117,8 +120,28 @@ def test_newer_versions_are_refused(filled):
         with pytest.raises(InputError, match="store version 2, this stcal reads up to 1"):
             Store.open(store.root, create=create)
     (store.root / "store.json").write_text("{")
-    with pytest.raises(InputError, match="not the marker"):
+    with pytest.raises(InputError, match=r"store\.json: not JSON"):
         Store.open(store.root)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ('{"schema": "stcal.store", "version": 0}', "version 0 is not a version"),
+        ('{"schema": "stcal.store", "version": true}', "version True is not a version"),
+        ('{"schema": "stcal.store", "version": "1"}', "version '1' is not a version"),
+        ('{"schema": "stcal.store"}', "version None is not a version"),
+        ('{"schema": "other", "version": 1}', "not the marker of a store"),
+        ("[" * 100_000, "not JSON"),
+        ("[]", "not an object"),
+    ],
+    ids=range(7),
+)
+def test_markers_that_are_none(tmp_path, content, said):
+    (tmp_path / "store.json").write_text(content)
+    for create in (False, True):
+        with pytest.raises(InputError, match=rf"store\.json: .*{said}"):
+            Store.open(tmp_path, create=create)
 
 
 def test_foreign_folders_are_not_taken_over(tmp_path):
@@ -127,6 +150,126 @@ def test_foreign_folders_are_not_taken_over(tmp_path):
         Store.open(tmp_path, create=True)
     with pytest.raises(InputError, match="is not a folder"):
         Store.open(tmp_path / "thesis.tex", create=True)
+    with pytest.raises(InputError, match=r"thesis\.tex/a/b: .*a file is in the way"):
+        Store.open(tmp_path / "thesis.tex" / "a" / "b", create=True)
+    with pytest.raises(InputError, match="no stcal store here"):
+        Store.open(tmp_path / "thesis.tex" / "a")
+    with pytest.raises(InputError, match="cannot be read: File name too long"):
+        Store.open(tmp_path / ("n" * 300))
+
+
+@pytest.mark.parametrize("name", ["ST16-" + "x" * 10_000, "\U0001f6f0" * 20, "ST16-\udcff"])
+def test_names_that_no_sensor_can_have(filled, name):
+    store, _ = filled
+    with pytest.raises(InputError, match=r"sensor '.{1,80}': the name") as caught:
+        store.fragments(name)
+    assert len(str(caught.value)) < 200
+
+
+def change_columns(table):
+    times = table["t_tai_ns"]
+    at = table.schema.get_field_index
+    return {
+        "missing or unknown columns: row_px": table.drop_columns(["row_px"]),
+        "missing or unknown columns: extra": table.append_column("extra", times),
+        "columns: none, but moved": table.select(table.column_names[::-1]),
+        "column frame_id is string": table.set_column(
+            at("frame_id"), pa.field("frame_id", pa.string(), False), times.cast(pa.string())
+        ),
+        "column t_tai_ns is int64, not int64 without nulls": table.set_column(
+            at("t_tai_ns"), pa.field("t_tai_ns", pa.int64()), times
+        ),
+        "not in the order of time": table.take(list(range(table.num_rows))[::-1]),
+    }
+
+
+@pytest.mark.parametrize("said", list(range(6)))
+def test_fragments_with_other_columns_or_order_are_refused(filled, tmp_path, said):
+    store, frames = filled
+    path = sorted(store.root.glob("frames/*/*/*.parquet"))[1]
+    table = pq.ParquetFile(path).read()
+    said, changed = list(change_columns(table).items())[said]
+    pq.write_table(changed.replace_schema_metadata(table.schema.metadata), path)
+    before = int(frames.t_tai_ns[0])
+    for action in (
+        lambda: store.read_frames("ST16-1"),
+        lambda: store.fragments("ST16-1", start_tai_ns=before),
+        lambda: cases.run(tmp_path, tmp_path / "a.csv"),
+    ):
+        with pytest.raises(InputError, match=rf"2026-01-06/frames\.parquet: damaged.*{said}"):
+            action()
+
+
+def test_quarantine_files_with_other_columns_are_refused(tmp_path):
+    source = cases.write_rows(tmp_path / "a.csv", [*cases.rows(3), cases.ROW | {"row_px": "x"}])
+    other = cases.write_rows(tmp_path / "b.csv", cases.rows(4, col_px="7"))
+    store, _ = cases.run(tmp_path, source, other)
+    paths = sorted(store.root.glob("quarantine/**/*.parquet"))
+    assert len(paths) == 2
+    for path in paths:
+        content = path.read_bytes()
+        pq.write_table(pq.ParquetFile(path).read().drop_columns(["source"]), path)
+        for action in (store.quarantine, lambda: cases.run(tmp_path, source)):
+            with pytest.raises(InputError, match=rf"{path.name}: damaged: .*: source"):
+                action()
+        path.write_bytes(content)
+
+
+def test_fragments_that_cannot_be_read_are_not_called_damaged(filled, monkeypatch):
+    store, _ = filled
+
+    def refuse(path, *arguments):
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+    monkeypatch.setattr("pathlib.Path.open", refuse)
+    with pytest.raises(InputError, match=r"frames\.parquet: cannot be read: Permission denied$"):
+        store.read_frames("ST16-1")
+
+
+@pytest.mark.parametrize(
+    "stray",
+    [
+        "frames",
+        "frames/sensor=ST16-1",
+        "frames/sensor=ST16-1/day=2026-01-05",
+        "quarantine",
+        "configs",
+    ],
+)
+def test_files_where_folders_belong_are_named(tmp_path, stray):
+    store = Store.open(tmp_path / "store", create=True)
+    (store.root / stray).parent.mkdir(parents=True, exist_ok=True)
+    (store.root / stray).write_text("")
+    source = cases.write_rows(tmp_path / "a.csv", [*cases.rows(2), cases.ROW | {"row_px": "x"}])
+    with pytest.raises(InputError, match=f"{stray}.*a file is in the way"):
+        cases.run(tmp_path, source)
+    with pytest.raises(InputError, match="no frames of sensor 'ST16-1'; sensors in the store"):
+        store.read_frames("ST16-1")
+
+
+def test_a_folder_in_place_of_the_lock(filled, tmp_path):
+    store, _ = filled
+    (store.root / ".lock").unlink()
+    (store.root / ".lock").mkdir()
+    with pytest.raises(InputError, match=r"\.lock: .*cannot be locked for writing: Is a dir"):
+        cases.run(tmp_path, tmp_path / "a.csv")
+
+
+def test_damaged_configurations_are_named(filled, tmp_path):
+    store, _ = filled
+    (path,) = (store.root / "configs").glob("*.json")
+    for content, said in ((b"\xff", "not UTF-8"), (b"[" * 100_000, "")):
+        path.write_bytes(content)
+        with pytest.raises(ConfigError, match=rf"{path.name}.*{said}"):
+            recorded_for(store.root, "ST16-1")
+    path.unlink()
+    path.mkdir()
+    for action in (
+        lambda: recorded_for(store.root, "ST16-1"),
+        lambda: cases.run(tmp_path, tmp_path / "a.csv"),
+    ):
+        with pytest.raises(ConfigError, match=rf"{path.name}: cannot be read: Is a directory"):
+            action()
 
 
 def test_damaged_fragments_are_named(filled, tmp_path):
@@ -171,6 +314,7 @@ def test_only_one_process_writes(filled, tmp_path):
 
 def test_remains_of_a_killed_writer_are_cleared(filled):
     store, _ = filled
+    (store.root / ".stcal-folder").mkdir()
     left = [store.root / ".stcal-1", store.root / "frames" / "sensor=ST16-1" / ".stcal-2"]
     for path in left:
         path.write_text("")
