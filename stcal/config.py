@@ -71,14 +71,21 @@ class CameraSection(_Section):
 
     @model_validator(mode="after")
     def _names(self) -> CameraSection:
-        if self.model not in CAMERAS:
-            raise ValueError(f"model {self.model!r} is not known; known: {', '.join(CAMERAS)}")
-        names = CAMERAS[self.model].parameter_names
-        problems = [f"scale.{p} is missing" for p in names if p not in self.scale]
-        problems += [f"scale.{p} is not a parameter" for p in self.scale if p not in names]
+        problems = _name_problems(self.model, self.scale)
         if problems:
             raise ValueError("; ".join(problems))
         return self
+
+
+def _name_problems(model: object, scale: object) -> list[str]:
+    """Return what is wrong with the names of a camera section, whatever else is."""
+    if not isinstance(model, str) or not isinstance(scale, dict):
+        return []
+    if model not in CAMERAS:
+        return [f"model {model!r} is not known; known: {', '.join(CAMERAS)}"]
+    names = CAMERAS[model].parameter_names
+    problems = [f"scale.{p} is missing" for p in names if p not in scale]
+    return problems + [f"scale.{p} is not a parameter" for p in scale if p not in names]
 
 
 class Noise(_Section):
@@ -144,6 +151,13 @@ class Fit(_Section):
     maximum_noise_scale: Positive = 5.0
 
 
+class Validation(_Section):
+    """What a comparison on held-out telemetry needs."""
+
+    # Fewer frames say nothing that a bootstrap could measure.
+    minimum_frames: Annotated[int, Field(ge=2)] = 20
+
+
 class Ingest(_Section):
     """What ingest accepts."""
 
@@ -164,6 +178,7 @@ class SensorConfig(_Section):
     catalogue: CatalogueSection
     matching: Matching
     fit: Fit = Fit()
+    validation: Validation = Validation()
     ingest: Ingest = Ingest()
 
     def applies_to(self, sensor_id: str) -> bool:
@@ -183,7 +198,13 @@ def load_config(path: Path) -> SensorConfig:
     try:
         config = SensorConfig.model_validate(document)
     except ValidationError as error:
-        raise ConfigError(f"{path}:\n" + "\n".join(_lines(error))) from None
+        lines = _lines(error)
+        camera = document.get("camera")
+        # Pydantic checks a section as a whole only when each of its fields is right.
+        if isinstance(camera, dict) and not any(e["loc"] == ("camera",) for e in error.errors()):
+            problems = _name_problems(camera.get("model"), camera.get("scale"))
+            lines += [f"  camera: {problem}" for problem in problems]
+        raise ConfigError(f"{path}:\n" + "\n".join(lines)) from None
     if config.catalogue.path is not None:
         resolved = str(path_beside(path, config.catalogue.path, "catalogue.path"))
         catalogue = config.catalogue.model_copy(update={"path": resolved})
@@ -206,10 +227,11 @@ def path_beside(file: Path, name: str, key: str) -> Path:
 
 
 def _lines(error: ValidationError) -> list[str]:
-    return [
-        f"  {'.'.join(str(part) for part in item['loc']) or 'file'}: {item['msg']}"
-        for item in error.errors()
-    ]
+    lines = []
+    for item in error.errors():
+        where = ".".join(str(part) for part in item["loc"]) or "file"
+        lines.append(f"  {where}: {item['msg'].removeprefix('Value error, ')}")
+    return lines
 
 
 def config_json(config: SensorConfig) -> str:

@@ -107,6 +107,11 @@ def root_ratio(sums: Floats) -> Floats:
     return np.sqrt(ratio(sums))
 
 
+def root_loss(sums: Floats) -> Floats:
+    """Statistic: one less the square root of first column over second."""
+    return np.asarray(1.0 - root_ratio(sums))
+
+
 def difference(sums: Floats) -> Floats:
     """Statistic: (first - second) over third column."""
     with np.errstate(divide="ignore", invalid="ignore"):

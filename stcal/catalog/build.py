@@ -8,7 +8,7 @@ the Hipparcos entry then stands for one of them or for their photocentre.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 
 from stcal.catalog import merging, readers
 from stcal.catalog.catalogue import StarCatalogue
+from stcal.catalog.fixed_width import count_records
 from stcal.catalog.readers import SourceStars
 from stcal.catalog.sphere import propagate
 from stcal.constants import ARCSEC
@@ -39,6 +40,12 @@ SAME_STAR_RAD = 1.0 * ARCSEC
 # Tycho-2 is read this much deeper than the limit, so that a Hipparcos star near the limit is not
 # taken for one that Tycho-2 lacks.
 _MARGIN_MAG = 1.0
+# Records of the whole files at the CDS: their name, length and number.
+_OFFICIAL = {
+    "tycho2": ("Tycho-2 main catalogue", readers.TYCHO2_LENGTH, 2_539_913),
+    "supplement": ("Tycho-2 supplement 1", readers.SUPPLEMENT_LENGTH, 17_588),
+    "hipparcos": ("Hipparcos-2", readers.HIPPARCOS_LENGTH, 117_955),
+}
 
 
 def build_catalogue(
@@ -49,7 +56,8 @@ def build_catalogue(
 ) -> StarCatalogue:
     """Read the files and return their stars to ``limiting_magnitude`` [V], brightest first.
 
-    ``tycho2`` may be the whole file or its parts.
+    ``tycho2`` may be the whole file or its parts.  ``warnings`` of the provenance names every file
+    whose number of records is not the official one: a cut at the end of a row shows only there.
 
     Raises
     ------
@@ -64,12 +72,31 @@ def build_catalogue(
         letters.append(np.full(len(parts[-1].hip), "S"))
     hip_stars = None if hipparcos is None else readers.read_hipparcos(hipparcos)
     stars, source = combine(readers.join(parts), np.concatenate(letters), hip_stars)
-    paths = [*tycho2, *(p for p in (supplement, hipparcos) if p is not None)]
+    paths = [*tycho2, *_given(supplement), *_given(hipparcos)]
     kept = stars.magnitude <= limiting_magnitude
     if not kept.any():
         raise InputError(f"{paths[0]}: no star down to magnitude {limiting_magnitude:g}")
     stars, source = stars.take(kept), source[kept]
-    return _catalogue(stars, source, _provenance(paths, stars, source, limiting_magnitude))
+    provenance = _provenance(paths, stars, source, limiting_magnitude)
+    provenance["warnings"] = _missing_rows(
+        {"tycho2": tycho2, "supplement": _given(supplement), "hipparcos": _given(hipparcos)}
+    )
+    return _catalogue(stars, source, provenance)
+
+
+def _given(path: Path | None) -> list[Path]:
+    return [] if path is None else [path]
+
+
+def _missing_rows(files: Mapping[str, Sequence[Path]]) -> list[str]:
+    warnings = []
+    for kind, paths in files.items():
+        name, length, official = _OFFICIAL[kind]
+        found = sum(count_records(path, length) for path in paths)
+        if paths and found != official:
+            listed = ", ".join(map(str, paths))
+            warnings.append(f"{listed}: {found:,} rows; the whole {name} has {official:,}")
+    return warnings
 
 
 def combine(

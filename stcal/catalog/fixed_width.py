@@ -9,8 +9,8 @@ import gzip
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,7 +118,12 @@ def read_records(path: Path, length: int) -> Iterator[Records]:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
-def _chunks(path: Path, stream: BinaryIO | gzip.GzipFile, length: int) -> Iterator[Records]:
+def count_records(path: Path, length: int) -> int:
+    """Return the number of records; raises what :func:`read_records` does."""
+    return sum(len(records.text) for records in read_records(path, length))
+
+
+def _chunks(path: Path, stream: BufferedReader | gzip.GzipFile, length: int) -> Iterator[Records]:
     row, rest, line = 1, b"", 0
     while True:
         block = _read(path, stream, row)
@@ -135,13 +140,19 @@ def _chunks(path: Path, stream: BinaryIO | gzip.GzipFile, length: int) -> Iterat
             return
 
 
-def _read(path: Path, stream: BinaryIO | gzip.GzipFile, row: int) -> bytes:
+def _read(path: Path, stream: BufferedReader | gzip.GzipFile, row: int) -> bytes:
+    """Return the next block; ``row`` is the number of the row that it begins with or within."""
+    blocks: list[bytes] = []
+    missing = _CHUNK_BYTES
     try:
-        return stream.read(_CHUNK_BYTES)
+        # In single reads, so that what comes before the damage is seen and its rows counted.
+        while missing and (block := stream.read1(missing)):
+            blocks.append(block)
+            missing -= len(block)
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise InputError(
-            f"{path}: gzip damaged or cut short after row {row - 1}: {error}"
-        ) from None
+        last = row - 1 + sum(block.count(b"\n") for block in blocks)
+        raise InputError(f"{path}: gzip damaged or cut short after row {last}: {error}") from None
+    return b"".join(blocks)
 
 
 def _line_length(path: Path, data: bytes, length: int) -> int:

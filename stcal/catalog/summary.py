@@ -39,5 +39,6 @@ def summarise(catalogue: StarCatalogue) -> dict[str, Any]:
         "with_motion": int((motion > 0).sum()),
         "with_colour": int(np.isfinite(catalogue.colour).sum()),
         "fastest_mas_per_year": float(motion.max() / MAS),
+        "warnings": catalogue.provenance.get("warnings", []),
         "provenance": catalogue.provenance,
     }

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from stcal.cli.output import emit
+from stcal.cli.paths import output_file
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -48,6 +49,7 @@ def build(
     from stcal.catalog.build import build_catalogue
     from stcal.catalog.catalogue import save
 
+    output_file(out)
     catalogue = build_catalogue(tycho2, supplement, hipparcos, limit)
     save(catalogue, out)
     _show(catalogue, out, as_json)
@@ -73,6 +75,7 @@ def _show(catalogue: StarCatalogue, path: Path, as_json: bool) -> None:
 
 def _print(document: dict[str, Any], console: Console) -> None:
     from rich.table import Table
+    from rich.text import Text
 
     provenance = document["provenance"]
     console.print(f"[bold]{provenance.get('title', 'Star catalogue')}[/bold]")
@@ -96,6 +99,8 @@ def _print(document: dict[str, Any], console: Console) -> None:
     for name, value in rows.items():
         facts.add_row(name, str(value))
     console.print(facts)
+    for warning in document["warnings"]:
+        console.print(Text(f"warning: {warning}", style="yellow"))
     console.print(_magnitudes(document))
     console.print(_sources(document))
 

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from stcal.cli.inputs import OUT, Selection, output_folder, read_inputs, store_options
+from stcal.cli.inputs import OUT, Selection, read_inputs, store_options
 from stcal.cli.output import emit, progress
+from stcal.cli.paths import output_folder
 
 if TYPE_CHECKING:
     from rich.console import Console

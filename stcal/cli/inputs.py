@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
@@ -89,7 +88,7 @@ def read_inputs(selection: Selection) -> Inputs:
     """Read a sensor's frames of a time range, its configuration and its catalogue."""
     from stcal.catalog.catalogue import catalogue_sha256, select
     from stcal.config import config_sha256
-    from stcal.errors import UsageError
+    from stcal.errors import ConfigError, UsageError
     from stcal.matching import Matcher
     from stcal.pipeline.describe import span_of
     from stcal.telemetry.store import Store, read_fragment
@@ -103,6 +102,12 @@ def read_inputs(selection: Selection) -> Inputs:
     settings = load_settings(opened, sensor, selection.config)
     section = settings.catalogue
     full = load_catalogue(settings)
+    faintest = float(full.magnitude.max())
+    if section.limiting_magnitude > faintest + 0.05:
+        raise ConfigError(
+            f"configuration {settings.name!r}: limiting_magnitude {section.limiting_magnitude} is "
+            f"beyond the catalogue, which ends at {faintest:.2f}"
+        )
     chosen = select(full, section.limiting_magnitude, section.merge_separation_arcsec)
     batches = [read_fragment(fragment) for fragment in fragments]
     provenance = {
@@ -113,25 +118,6 @@ def read_inputs(selection: Selection) -> Inputs:
         **span_of(batches),
     }
     return Inputs(batches, Matcher(chosen, settings), provenance)
-
-
-def output_folder(path: Path) -> Path:
-    """Make the output folder before the work, so that a wrong one doesn't cost it.
-
-    Raises
-    ------
-    UsageError
-        Naming the folder and what is wrong with it.
-    """
-    from stcal.errors import UsageError
-
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"--out {path}: {error.strerror}") from None
-    if not os.access(path, os.W_OK):
-        raise UsageError(f"--out {path}: not writable")
-    return path
 
 
 def load_catalogue(settings: SensorConfig) -> Any:

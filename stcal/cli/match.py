@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from stcal.cli.inputs import MATCHING, OUT, Selection, output_folder, read_inputs, store_options
+from stcal.cli.inputs import MATCHING, OUT, Selection, read_inputs, store_options
 from stcal.cli.output import emit, progress
+from stcal.cli.paths import output_folder
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -78,5 +79,5 @@ def _table(document: dict[str, Any], console: Console) -> None:
     for reason, count in document["unsolved"].items():
         table.add_row(f"unsolved: {reason}", str(count))
     rms = document["rms_residual_urad"]
-    table.add_row("RMS residual [urad]", "-" if rms is None else f"{rms:.1f}")
+    table.add_row("RMS residual, urad", "-" if rms is None else f"{rms:.1f}")
     console.print(table)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from stcal.cli.output import emit
+from stcal.cli.paths import output_file
 from stcal.errors import UsageError
 
 if TYPE_CHECKING:
@@ -25,12 +26,16 @@ def command(documents: tuple[Path, ...], out: Path, as_json: bool) -> None:
     from stcal.report.document import FIT_SCHEMA, VALIDATION_SCHEMA, read_document, text
     from stcal.report.html import RENDERERS, write_recalibration, write_report
 
+    output_file(out)
     found = [read_document(path, tuple(RENDERERS)) for path in documents]
     by_schema = {document["schema"]: document for document in found}
+    file_of = {document["schema"]: path for document, path in zip(found, documents, strict=True)}
     if len(found) == 1:
         write_report(found[0], out)
     elif len(found) == 2 and {FIT_SCHEMA, VALIDATION_SCHEMA} <= set(by_schema):
-        write_recalibration(by_schema[FIT_SCHEMA], by_schema[VALIDATION_SCHEMA], out)
+        fit, validation = by_schema[FIT_SCHEMA], by_schema[VALIDATION_SCHEMA]
+        files = (file_of[FIT_SCHEMA], file_of[VALIDATION_SCHEMA])
+        write_recalibration(fit, validation, out, files)
     else:
         raise UsageError("give one document, or one fit and one validation")
     result: dict[str, Any] = {

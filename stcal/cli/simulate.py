@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from stcal.cli.output import emit, progress
+from stcal.cli.paths import output_folder
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -39,6 +40,7 @@ def command(scenario_file: Path, out: Path, seed: int, truth_columns: bool, as_j
     from stcal.simulate import load_scenario, simulate
     from stcal.simulate.files import summary, write_simulation
 
+    output_folder(out)
     scenario = load_scenario(scenario_file)
     with progress(f"Simulating {scenario.sensor_id}", total=2) as bar:
         simulation = simulate(scenario, seed)

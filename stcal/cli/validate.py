@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from stcal.cli.fit import write_documents
-from stcal.cli.inputs import MATCHING, OUT, Selection, output_folder, read_inputs, store_options
+from stcal.cli.inputs import MATCHING, OUT, Selection, read_inputs, store_options
 from stcal.cli.output import emit, progress
+from stcal.cli.paths import output_folder
 
 if TYPE_CHECKING:
     from rich.console import Console

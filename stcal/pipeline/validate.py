@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stcal.attitude import MeanRotation
 from stcal.calibration import Calibration
 from stcal.constants import ARCSEC, EXPOSURES_PER_FRAME, URAD
 from stcal.execution import OrderedMap, serial
 from stcal.frames import FrameBatch, MatchedFrames
+from stcal.geometry.rotations import vector_from_matrix
 from stcal.matching import Matcher, match
 from stcal.metrics import (
     Interval,
@@ -22,6 +24,7 @@ from stcal.metrics import (
     difference,
     pair_sums,
     ratio,
+    root_loss,
     root_ratio,
 )
 from stcal.pipeline import describe
@@ -36,10 +39,9 @@ Floats = NDArray[np.float64]
 
 SCHEMA = "stcal.validation/1"
 CONFIDENCE = 0.95
-# Fewer frames than this say nothing that a bootstrap could measure.
-_LEAST_FRAMES = 20
+_JUMP_SD = 3.0
 # What may be lost without harm, as a share: with enough frames any loss becomes significant.
-MARGINS = {"availability": 0.005, "matched stars": 0.005, "common-pair mean square": 0.02}
+MARGINS = {"availability": 0.005, "matched stars": 0.005, "common-pair RMS": 0.01}
 
 
 @dataclass(frozen=True)
@@ -170,7 +172,8 @@ def _document(
     change = attitude_change(
         compared.matched[0], baseline.c_sd, compared.matched[1], candidate.c_sd
     )
-    reasons, notes = _judge(compared)
+    reasons, notes = _judge(compared, matcher.config.validation.minimum_frames)
+    notes += _overlap(batches, candidate) + _jump(change)
     return {
         **describe.header(SCHEMA, candidate.sensor_id),
         "verdict": {"accepted": not reasons, "reasons": reasons, "notes": notes},
@@ -186,7 +189,7 @@ def _document(
         **residual_views(selections, baseline.camera, candidate.camera),
         "series": series(
             compared.matched[0], compared.matched[1],
-            ("matched_baseline", "matched_candidate"), ("fix_baseline", "fix_candidate"),
+            ("matched_baseline", "matched_candidate"), ("fix_baseline", "fix_candidate"), counted,
         ),
         "baseline": {"serial": baseline.serial, "sha256": hashes["baseline"]},
         "candidate": {"serial": candidate.serial, "sha256": hashes["candidate"]},
@@ -238,16 +241,16 @@ def _pair_of(intervals: Sequence[Interval]) -> dict[str, Any]:
     return {"baseline": _bounds(intervals[0]), "candidate": _bounds(intervals[1])}
 
 
-def _judge(compared: Comparison) -> tuple[list[str], list[str]]:
+def _judge(compared: Comparison, minimum_frames: int) -> tuple[list[str], list[str]]:
     """Return reasons to refuse (worse beyond its margin, with confidence) and lesser notes."""
     count = compared.counted.astype(np.float64)
     old_fix, new_fix = (fixed * count for fixed in compared.fixed)
     old_stars, new_stars = (stars * count for stars in compared.stars)
     old, new = compared.sums
-    if count.sum() < _LEAST_FRAMES:
+    if count.sum() < minimum_frames:
         return [
             f"{int(count.sum())} frames count (outside eclipse and intrusion), at least "
-            f"{_LEAST_FRAMES} needed"
+            f"{minimum_frames} needed"
         ], []
     if not new.pairs.sum():
         return ["neither calibration identifies any frame"], []
@@ -255,9 +258,7 @@ def _judge(compared: Comparison) -> tuple[list[str], list[str]]:
     better = {
         "availability": _interval(difference, new_fix, old_fix, count),
         "matched stars": _interval(difference, new_stars, old_stars, np.maximum(old_stars, 1e-9)),
-        "common-pair mean square": _interval(
-            difference, old.squares, new.squares, np.maximum(old.squares, 1e-30)
-        ),
+        "common-pair RMS": _interval(root_loss, new.squares, np.maximum(old.squares, 1e-30)),
     }
     reasons, notes = [], []
     for name, gain in better.items():
@@ -271,11 +272,37 @@ def _judge(compared: Comparison) -> tuple[list[str], list[str]]:
     return reasons, notes
 
 
-def _rotation(change: Any, what: str) -> list[float | None] | None:
+def _overlap(batches: Sequence[FrameBatch], candidate: Calibration) -> list[str]:
+    """Say when the telemetry may be what the candidate was fitted to."""
+    span, fitted = describe.span_of(batches), candidate.provenance
+    if not {"from", "to"} <= fitted.keys():
+        return []
+    if str(span["from"]) > str(fitted["to"]) or str(span["to"]) < str(fitted["from"]):
+        return []
+    return [
+        f"the candidate was fitted to telemetry from {fitted['from']} to {fitted['to']}, which "
+        "overlaps with this: the figures may not be of held-out data"
+    ]
+
+
+def _jump(change: MeanRotation | None) -> list[str]:
+    """Say when attitudes change by more than the mean of C_SD can be off by chance."""
+    if change is None:
+        return []
+    offset = vector_from_matrix(change.c[None])[0]
+    # The update has an uncertainty of its own, of about the same size.
+    if (np.abs(offset) <= _JUMP_SD * np.sqrt(2.0) * change.sd_of_mean).all():
+        return []
+    figures = ", ".join(f"{v:+.1f}" for v in offset / ARCSEC)
+    return [
+        f"attitudes change by {figures} arcsec (x, y, z of S), more than chance: the baseline's "
+        "distortion turns its attitudes differently on another sky than the fit's"
+    ]
+
+
+def _rotation(change: MeanRotation | None, what: str) -> list[float | None] | None:
     if change is None:
         return None
     if what == "mean":
-        from stcal.geometry.rotations import vector_from_matrix
-
         return numbers(vector_from_matrix(change.c[None])[0] / ARCSEC)
     return numbers(getattr(change, what) / ARCSEC)

@@ -94,13 +94,18 @@ def series(
     after: Sequence[MatchedFrames],
     counts: tuple[str, str],
     fixes: tuple[str, str],
+    shown: NDArray[np.bool_] | None = None,
 ) -> dict[str, Any]:
-    """Return matched stars (both exposures) and fixes over time, thinned for plotting."""
+    """Return matched stars (both exposures) and fixes over time, thinned for plotting.
+
+    ``shown`` (F,) masks the frames that count; all of them without it.
+    """
     times = np.concatenate([m.frames.t_tai_ns for m in before])
-    step = max(1, math.ceil(len(times) / _SERIES_LENGTH))
-    document: dict[str, Any] = {"time_utc": [format_utc(int(t)) for t in times[::step]]}
+    frames = np.arange(len(times)) if shown is None else np.flatnonzero(shown)
+    frames = frames[:: max(1, math.ceil(len(frames) / _SERIES_LENGTH))]
+    document: dict[str, Any] = {"time_utc": [format_utc(int(t)) for t in times[frames]]}
     for name, matched in zip(counts, (before, after), strict=True):
-        document[name] = np.concatenate([m.matches_per_frame for m in matched])[::step].tolist()
+        document[name] = np.concatenate([m.matches_per_frame for m in matched])[frames].tolist()
     for name, matched in zip(fixes, (before, after), strict=True):
-        document[name] = np.concatenate([m.frame_solved for m in matched])[::step].tolist()
+        document[name] = np.concatenate([m.frame_solved for m in matched])[frames].tolist()
     return document

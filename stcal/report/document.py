@@ -22,6 +22,8 @@ VALIDATION_SCHEMA = "stcal.validation/1"
 Document = Mapping[str, Any]
 Floats = NDArray[np.float64]
 
+_LARGEST, _SMALLEST = 1e12, 1e-100
+
 
 def read_document(path: Path, schemas: tuple[str, ...]) -> dict[str, Any]:
     """Read a JSON document of one of the named schemas.
@@ -50,9 +52,16 @@ def number(value: Any) -> float | None:
 
 
 def numbers(value: Any) -> Floats:
-    """Return (N,) numbers of a list, NaN where one is not available."""
+    """Return (N,) numbers of a list, NaN where one is not available.
+
+    What no picture can show counts as not available when large, as zero when small: sums, squares
+    and quotients of the rest do not overflow.
+    """
     items = [number(item) for item in sequence(value)]
-    return np.array([math.nan if item is None else item for item in items], dtype=np.float64)
+    found = np.array([math.nan if item is None else item for item in items], dtype=np.float64)
+    found[np.abs(found) > _LARGEST] = math.nan
+    found[np.abs(found) < _SMALLEST] = 0.0
+    return found
 
 
 def matrix(value: Any, columns: int) -> Floats | None:

@@ -62,9 +62,9 @@ def _quiver(figure: Figure, cells: Floats, rows: float, cols: float, label: str)
     # The largest arrow spans about one cell; the margin keeps arrows of edge cells inside.
     cell = math.sqrt(rows * cols / max(cells.shape[1], 1))
     known = size[stars >= _FEW_STARS]
-    largest = float(np.quantile(known if known.size else size, 0.98)) or 1.0
-    per_px = 1.2 * cell / largest
-    margin = 0.07 * max(rows, cols)
+    largest = float(np.max(known if known.size else size)) or 1.0
+    per_px = 1.1 * cell / largest
+    margin = 0.1 * max(rows, cols)
     axes.set_xlim(-0.5 - margin, cols - 0.5 + margin)
     axes.set_ylim(-0.5 - margin, rows - 0.5 + margin)
     outline = np.array([[-0.5, -0.5], [cols - 0.5, -0.5], [cols - 0.5, rows - 0.5]])
@@ -116,7 +116,7 @@ def radial_profile(radial: Document, labels: tuple[str, str], name: str) -> str 
     scatter = columns(radial, "sd_after_px", "count", "radius_px")
     sd = np.zeros(len(found[0]))
     if scatter is not None and len(scatter[0]) == len(sd):
-        sd = np.nan_to_num(scatter[0] / np.sqrt(np.maximum(scatter[1], 1.0)))
+        sd = np.abs(np.nan_to_num(scatter[0] / np.sqrt(np.maximum(scatter[1], 1.0))))
     title = f"Mean radial residual, {labels[0]} and {labels[1]}"
     return draw(name, title, (7.2, 3.0), lambda f: _profiles(f, found, sd, labels))
 

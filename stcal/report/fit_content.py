@@ -139,10 +139,10 @@ def c_sd_table(document: Document) -> Table:
         )
     rows = (
         ("Offset removed, x y z", vector(update.get("offset_arcsec"), 2, "arcsec")),
-        ("Spread over exposures, x y z", spread_of(update.get("spread_arcsec"), 2)),
+        ("Spread over frames, x y z", spread_of(update.get("spread_arcsec"), 2)),
         ("sd of the mean", spread_of(update.get("sd_of_mean_arcsec"), 3)),
         ("Frames used", count(update.get("frames_used"))),
-        ("Frames rejected as wrongly solved", count(update.get("frames_rejected"))),
+        ("Frames left out as outliers", count(update.get("frames_rejected"))),
         *listed,
     )
     return Table("Alignment update (C_SD)", ("", ""), rows, numeric=False)

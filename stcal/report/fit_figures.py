@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stcal.report.document import Document, Floats, matrix, number, numbers, sections, text
+from stcal.report.content import quotient
+from stcal.report.document import Document, Floats, matrix, numbers, sections, text
 from stcal.report.format import fixed, significant
 from stcal.report.svg import AFTER, FAINT, NEUTRAL, draw, start_axes
 from stcal.units import unit_of
@@ -21,15 +22,14 @@ if TYPE_CHECKING:
 
 def parameter_changes(document: Document, name: str) -> str | None:
     """Bars of the change of each parameter in units of its spread from unit to unit."""
-    found = [
-        p for p in sections(document.get("parameters")) if number(p.get("change_sigma")) is not None
-    ]
+    listed = sections(document.get("parameters"))
+    found = [p for p in listed if np.isfinite(numbers([p.get("change_sigma")])).all()]
     if not found:
         return None
     symbols = [unit_of(text(p.get("name"))).symbol for p in found]
     change = numbers([p.get("change_sigma") for p in found])
-    sd = np.abs(numbers([p.get("sd") for p in found]) / numbers([p.get("sigma") for p in found]))
-    sd = np.where(np.isfinite(sd), sd, 0.0)
+    ratio = [quotient(p.get("sd"), p.get("sigma")) for p in found]
+    sd = np.abs(np.nan_to_num(numbers(ratio)))
     title = "Change of each parameter in sigma"
     size = (6.4, 1.0 + 0.3 * len(found))
     return draw(name, title, size, lambda f: _bars(f, symbols, change, sd))

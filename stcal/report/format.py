@@ -35,13 +35,15 @@ def count(value: Any) -> str:
     found = number(value)
     if found is None:
         return NOT_AVAILABLE
+    if abs(found) >= 1e15:
+        return f"{found:.4g}"
     return _with_unit(f"{found:,.0f}".replace(",", "\N{NARROW NO-BREAK SPACE}"), "")
 
 
 def percent(value: Any) -> str:
     """Return a share as a percentage."""
     found = number(value)
-    return NOT_AVAILABLE if found is None else f"{100.0 * found:.1f} %"
+    return fixed(None if found is None else 100.0 * found, 1, "%")
 
 
 def rms(value: Any) -> str:

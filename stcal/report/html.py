@@ -65,8 +65,14 @@ def render_validation(document: Document) -> str:
     return _page(_heading("Validation", document), verdicts, parts)
 
 
-def render_recalibration(fit: Document, validation: Document) -> str:
+def render_recalibration(
+    fit: Document,
+    validation: Document,
+    files: tuple[object, object] = ("the fit", "the validation"),
+) -> str:
     """Return one HTML report of a fit and of its validation, both verdicts first.
+
+    ``files`` names the two in messages.
 
     Raises
     ------
@@ -75,7 +81,7 @@ def render_recalibration(fit: Document, validation: Document) -> str:
     """
     names = [text(document.get("sensor_id")) for document in (fit, validation)]
     if names[0] != names[1]:
-        raise InputError(f"the fit is of sensor {names[0]!r}, the validation of {names[1]!r}")
+        raise InputError(f"{files[0]} is of sensor {names[0]!r}, {files[1]} of sensor {names[1]!r}")
     verdicts = [_validation_verdict(validation), _fit_verdict(fit)]
     parts = [_validation_part(validation), _fit_part(fit)]
     return _page(_heading("Recalibration and validation", fit), verdicts, parts)
@@ -101,9 +107,14 @@ def write_report(document: Document, path: Path) -> None:
     write_text(path, renderer(document))
 
 
-def write_recalibration(fit: Document, validation: Document, path: Path) -> None:
-    """Write the HTML report of a fit and its validation in one file."""
-    write_text(path, render_recalibration(fit, validation))
+def write_recalibration(
+    fit: Document,
+    validation: Document,
+    path: Path,
+    files: tuple[object, object] = ("the fit", "the validation"),
+) -> None:
+    """Write the HTML report of a fit and its validation (read from ``files``) in one file."""
+    write_text(path, render_recalibration(fit, validation, files))
 
 
 def _fit_verdict(document: Document) -> Verdict:
@@ -180,7 +191,7 @@ def _detector_pictures(
     return (
         Picture(
             "Residual field",
-            f"Mean residual (measured minus predicted) of {basis} per detector cell, looking out "
+            f"Mean residual (measured minus predicted) in each detector cell, of {basis}, looking out "
             "along the boresight. Each picture has its own scale, given by the arrow above it. "
             "Grey: fewer than 5 stars.",
             vectors,

@@ -7,18 +7,25 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from stcal.cameras import CAMERAS
-from stcal.config import SensorConfig
+from stcal.config import Magnitude, SensorConfig
 from stcal.simulate.true_camera import cameras_of, is_one_to_one
 from stcal.times import parse_utc
 
 SCHEMA = "stcal.scenario/1"
 PARTS = ("calibration", "validation")
 
+# The Earth's ephemeris ends with the year 2099.
+END_TAI_NS = parse_utc("2100-01-01T00:00:00Z")
+
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+# Far beyond any sensible value, and so small that no square or product of them overflows.
+Number = Annotated[float, Field(ge=-1e6, le=1e6)]
+Positive = Annotated[float, Field(ge=1e-6, le=1e6)]
+NotNegative = Annotated[float, Field(ge=0, le=1e6)]
+HalfTurn = Annotated[float, Field(ge=0, le=180)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
-Vector = tuple[Finite, Finite, Finite]
+# Strict sections take no list for a tuple, but TOML has nothing else.
+Vector = Annotated[tuple[Number, Number, Number], Field(strict=False)]
 
 
 def _whole_ms(value: float) -> float:
@@ -27,12 +34,22 @@ def _whole_ms(value: float) -> float:
     return value
 
 
-Seconds = Annotated[NotNegative, AfterValidator(_whole_ms)]
-Period = Annotated[Positive, AfterValidator(_whole_ms)]
+def _not_zero(vector: tuple[float, float, float]) -> tuple[float, float, float]:
+    if max(map(abs, vector)) < 1e-6:
+        raise ValueError("is the zero vector")
+    return vector
+
+
+# A century fits; times beyond END_TAI_NS are refused for the scenario as a whole.
+Seconds = Annotated[float, Field(ge=0, le=3.2e9), AfterValidator(_whole_ms)]
+Period = Annotated[float, Field(gt=0, le=1e6), AfterValidator(_whole_ms)]
+Direction = Annotated[Vector, AfterValidator(_not_zero)]
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, arbitrary_types_allowed=True
+    )
 
 
 class OrbitSection(_Section):
@@ -40,10 +57,10 @@ class OrbitSection(_Section):
 
     altitude_km: Annotated[float, Field(gt=100, lt=100_000)]
     inclination_deg: Annotated[float, Field(ge=0, le=180)]
-    raan_deg: Finite | None = None
+    raan_deg: Number | None = None
     ltan_h: Annotated[float, Field(ge=0, lt=24)] | None = None
     # Argument of latitude at the scenario's epoch.
-    phase_deg: Finite = 0.0
+    phase_deg: Number = 0.0
 
     @model_validator(mode="after")
     def _one_node(self) -> OrbitSection:
@@ -56,17 +73,11 @@ class Mounting(_Section):
     """How the sensor sits in the spacecraft, and its detector in the sensor."""
 
     # Direction of S's z axis in B; at roll 0 S's x axis lies towards B's x (y when that is along z)
-    boresight_b: Vector
-    roll_deg: Finite = 0.0
+    boresight_b: Direction
+    roll_deg: Number = 0.0
     # Rotation vectors of c_sd: as stored in the initial calibration, and the unknown change of it.
     c_sd_rotvec_deg: Vector = (0.0, 0.0, 0.0)
     c_sd_shift_urad: Vector = (0.0, 0.0, 0.0)
-
-    @model_validator(mode="after")
-    def _direction(self) -> Mounting:
-        if not any(self.boresight_b):
-            raise ValueError("boresight_b is the zero vector")
-        return self
 
 
 class CameraTruth(_Section):
@@ -78,9 +89,9 @@ class CameraTruth(_Section):
 
 
 class _Motion(_Section):
-    frames: Annotated[int, Field(ge=1)]
+    frames: Annotated[int, Field(ge=1, le=1_000_000)]
     # Slow wander about the motion: amplitude per axis, and the mean period of its waves.
-    wander_deg: NotNegative = 0.0
+    wander_deg: HalfTurn = 0.0
     wander_period_s: Positive = 600.0
 
 
@@ -95,16 +106,10 @@ class Slew(_Motion):
     """Constant rotation about an axis of B; continues the attitude before it unless aimed."""
 
     motion: Literal["slew"]
-    rate_deg_s: Finite
-    axis_b: Vector
+    rate_deg_s: Number
+    axis_b: Direction
     # Right ascension, declination and position angle of S at the segment's start.
     target_deg: Vector | None = None
-
-    @model_validator(mode="after")
-    def _axis(self) -> Slew:
-        if not any(self.axis_b):
-            raise ValueError("axis_b is the zero vector")
-        return self
 
 
 class CoarseHold(_Motion):
@@ -123,13 +128,18 @@ class Part(_Section):
     # After the scenario's epoch.
     start_s: Seconds = 0.0
     sample_period_s: Period
-    first_frame_id: Annotated[int, Field(ge=0)] = 1
-    segments: Annotated[tuple[Segment, ...], Field(min_length=1)]
+    first_frame_id: Annotated[int, Field(ge=0, le=10**15)] = 1
+    segments: Annotated[tuple[Segment, ...], Field(min_length=1, strict=False)]
 
     @property
     def frames(self) -> int:
         """Number of frames of all segments."""
         return sum(segment.frames for segment in self.segments)
+
+    @property
+    def last_s(self) -> float:
+        """Time of the last frame after the scenario's epoch when none is edited out."""
+        return self.start_s + (self.frames - 1) * self.sample_period_s
 
     @model_validator(mode="after")
     def _start(self) -> Part:
@@ -143,16 +153,16 @@ class Detection(_Section):
     """Which catalogue stars become detections, and what else does."""
 
     # Detection probability is 1/2 at the limit; logistic roll-off with this width in magnitudes.
-    limiting_magnitude: Finite
-    width_mag: Positive
-    maximum_stars: Annotated[int, Field(ge=1)] = 32
+    limiting_magnitude: Magnitude
+    width_mag: Annotated[float, Field(ge=1e-6, le=10)]
+    maximum_stars: Annotated[int, Field(ge=1, le=100_000)] = 32
     missing_probability: Fraction = 0.0
-    false_stars_per_exposure: NotNegative = 0.0
+    false_stars_per_exposure: Annotated[float, Field(ge=0, le=1000)] = 0.0
     outlier_probability: Fraction = 0.0
     # Gross centroid errors: one sigma per axis.
     outlier_sd_px: NotNegative = 10.0
     # Depth of the catalogue from which the sky is made.
-    sky_magnitude: Finite = 8.0
+    sky_magnitude: Magnitude = 8.0
 
 
 class TrueNoise(_Section):
@@ -166,29 +176,29 @@ class TrueNoise(_Section):
 class Intensity(_Section):
     """Counts of a star: 10^(0.4 (zero_point_mag - V)), with log-normal scatter."""
 
-    zero_point_mag: Finite = 14.0
-    scatter_mag: NotNegative = 0.1
+    zero_point_mag: Annotated[float, Field(ge=-30, le=50)] = 14.0
+    scatter_mag: Annotated[float, Field(ge=0, le=10)] = 0.1
 
 
 class Visibility(_Section):
     """When the view is bad: boresight nearer than these, the Earth's counted from its limb."""
 
-    earth_exclusion_deg: NotNegative = 15.0
-    sun_exclusion_deg: NotNegative = 45.0
-    moon_exclusion_deg: NotNegative = 15.0
+    earth_exclusion_deg: HalfTurn = 15.0
+    sun_exclusion_deg: HalfTurn = 45.0
+    moon_exclusion_deg: HalfTurn = 15.0
     # Such frames, and those in eclipse, are edited out of the telemetry but for this share.
     keep_flagged: Fraction = 0.0
     # Stray light lifts the background: loss of limiting magnitude in intrusions.
-    intrusion_loss_mag: NotNegative = 2.0
+    intrusion_loss_mag: Annotated[float, Field(ge=0, le=50)] = 2.0
 
 
 class TelemetrySection(_Section):
     """What the telemetry carries beside the stars."""
 
-    exposure_separation_s: Positive = 0.1
+    exposure_separation_s: Annotated[float, Field(gt=0, le=3600)] = 0.1
     spacecraft_state: bool = True
     rate_sd_deg_s: NotNegative = 0.02
-    temperature_c: Finite = 20.0
+    temperature_c: Number = 20.0
     temperature_swing_c: NotNegative = 4.0
 
 
@@ -223,10 +233,19 @@ class Scenario(_Section):
     def _consistent(self) -> Scenario:
         document: dict[str, Any] = {"sensor_id": self.sensor_id, "epoch": self.epoch}
         document["camera"] = self.camera.model_dump()
-        problems = cross_problems(document, self.sensor)
+        problems = cross_problems(document, self.sensor) or self._late_parts()
         if problems:
             raise ValueError("; ".join(problems))
         return self
+
+    def _late_parts(self) -> list[str]:
+        available_s = (END_TAI_NS - self.epoch_tai_ns) * 1e-9
+        return [
+            f"{name}: its last frame, {self.part(name).last_s:g} s after the epoch, does not lie "
+            "before the year 2100"
+            for name in PARTS
+            if self.part(name).last_s >= available_s
+        ]
 
 
 def cross_problems(document: dict[str, Any], sensor: SensorConfig) -> list[str]:

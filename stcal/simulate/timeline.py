@@ -12,7 +12,7 @@ from stcal.constants import DEG, EARTH_RADIUS_M
 from stcal.errors import ConfigError
 from stcal.simulate.attitude import Motion, attitude_at, draw_wander, motion_of, mounting_rotation
 from stcal.simulate.orbit import Orbit, in_shadow, state, sun_and_moon
-from stcal.simulate.scenario import Part, Scenario, Visibility
+from stcal.simulate.scenario import END_TAI_NS, Part, Scenario, Visibility
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -51,7 +51,8 @@ def make_timeline(
     Raises
     ------
     ConfigError
-        When a segment sees nothing but the Earth, the Sun, the Moon or the shadow.
+        When a segment sees nothing but the Earth, the Sun, the Moon or the shadow, or looks for
+        frames beyond the year 2099.
     """
     c_bs = mounting_rotation(scenario.mounting)
     start, before = part.start_s, None
@@ -101,6 +102,11 @@ def _frames(
     lucky = rng.random(most) < scenario.visibility.keep_flagged
     while True:
         t_s: Floats = motion.start_s + part.sample_period_s * np.arange(samples, dtype=np.float64)
+        if t_s[-1] >= (END_TAI_NS - scenario.epoch_tai_ns) * 1e-9:
+            raise ConfigError(
+                f"{scenario.sensor_id}: a {motion.segment.motion} segment finds too few frames "
+                "without eclipse or intrusion before the year 2100"
+            )
         eclipse, intrusion = view_flags(scenario, motion, orbit, c_bs, t_s)
         kept = ~(eclipse | intrusion) | lucky[:samples]
         if kept.sum() >= wanted or samples == most:

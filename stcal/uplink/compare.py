@@ -48,7 +48,8 @@ def compare(old: Calibration, new: Calibration) -> dict[str, Any]:
     Raises
     ------
     InputError
-        When the two have another camera model or detector: their parameters do not compare.
+        When the two have another camera model or detector: their parameters do not compare; or
+        when a camera model breaks down on the detector.
     """
     _require_same_camera(old, new)
     change = direction_change(old, new)
@@ -114,9 +115,11 @@ def direction_change(old: Calibration, new: Calibration) -> DirectionChange:
         When a camera model breaks down on the detector.
     """
     m, n = _grid(old.camera)
-    before, after = old.camera.directions(m, n), new.camera.directions(m, n)
-    if not (np.isfinite(before).all() and np.isfinite(after).all()):
-        raise InputError("a calibration gives no directions somewhere on its detector")
+    with np.errstate(all="ignore"):  # checked below
+        before, after = old.camera.directions(m, n), new.camera.directions(m, n)
+    for name, found in zip(_names(old, new), (before, after), strict=True):
+        if not np.isfinite(found).all():
+            raise InputError(f"{name}: gives no directions somewhere on its detector")
     rotation, left = _best_rotation(before, after)
     worst = int(np.argmax(left))
     net, _ = _best_rotation(before @ old.c_sd.T, after @ new.c_sd.T)
@@ -153,6 +156,10 @@ def _grid(camera: Camera) -> tuple[Floats, Floats]:
     return m.ravel(), n.ravel()
 
 
+def _names(old: Calibration, new: Calibration) -> tuple[str, str]:
+    return old.origin or "OLD", new.origin or "NEW"
+
+
 def _require_same_camera(old: Calibration, new: Calibration) -> None:
     kinds = [
         (c.camera.model.name, c.camera.rows, c.camera.cols, c.camera.pixel_size_m)
@@ -160,7 +167,10 @@ def _require_same_camera(old: Calibration, new: Calibration) -> None:
     ]
     if kinds[0] != kinds[1]:
         described = [f"{name} {rows} x {cols}, {size:g} m" for name, rows, cols, size in kinds]
-        raise InputError(f"OLD is a camera {described[0]}; NEW is {described[1]}: not comparable")
+        first, second = _names(old, new)
+        raise InputError(
+            f"not comparable: {first} is a camera {described[0]}; {second} is {described[1]}"
+        )
 
 
 def _quotient(change: float, sd: float | None) -> float | None:

@@ -76,3 +76,36 @@ def test_broken_input_ends_in_code_3_and_writes_nothing(
     assert main(["catalog", "info", str(out), "--json"]) == 3
     assert "c.npz: cut short" in json.loads(capsys.readouterr().out)["error"]
     assert main(["catalog", "build", "--out", str(out)]) == 2
+
+
+def test_row_counts_that_are_not_the_official_ones_are_warned_of(
+    files: dict[str, Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    out = tmp_path / "c.npz"
+    options = [part for name, path in files.items() for part in (f"--{name}", str(path))]
+    assert main(["catalog", "build", *options, "--out", str(out), "--json"]) == 0
+    warnings = json.loads(capsys.readouterr().out)["warnings"]
+    assert warnings == [
+        f"{files['tycho2']}: 2 rows; the whole Tycho-2 main catalogue has 2,539,913",
+        f"{files['supplement']}: 1 rows; the whole Tycho-2 supplement 1 has 17,588",
+        f"{files['hipparcos']}: 1 rows; the whole Hipparcos-2 has 117,955",
+    ]
+    assert main(["catalog", "info", str(out)]) == 0
+    assert capsys.readouterr().out.count("warning:") == 3
+    # Two parts of Tycho-2 that together are whole, and no other file: nothing to warn of.
+    official = {"tycho2": ("Tycho-2", 206, 4), "supplement": ("", 0, 9), "hipparcos": ("", 0, 9)}
+    monkeypatch.setattr("stcal.catalog.build._OFFICIAL", official)
+    parts = ["--tycho2", str(files["tycho2"])] * 2
+    assert main(["catalog", "build", *parts, "--out", str(out), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["warnings"] == []
+
+
+def test_out_that_cannot_be_a_file(
+    files: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for out in (tmp_path, files["tycho2"] / "x" / "c.npz"):
+        assert main(["catalog", "build", "--tycho2", str(files["tycho2"]), "--out", str(out)]) == 3
+        assert f"stcal: {out}: " in capsys.readouterr().err

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import gzip
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -198,3 +199,22 @@ def test_the_other_files_name_their_rows_too(tmp_path: Path) -> None:
     hip = hipparcos_line(5, 1.0, 1.0, pm=(0, 0), parallax=1.0, hp=7.0, colour=0.5)
     with pytest.raises(InputError, match=r"hip2\.dat: row 2: Hpmag .* is blank"):
         read_hipparcos(write(tmp_path / "hip2.dat", [hip, hip.replace(" 7.0000", " " * 7)]))
+
+
+def test_a_cut_gzip_names_its_last_good_row(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    random = np.random.default_rng(1)
+    magnitudes = random.uniform(3.0, 9.0, 3000).round(3)
+    rows = [tycho2_line((1, k + 1, 1), 1.0 + k / 17, 2.0, bt=9.5, vt=v)
+            for k, v in enumerate(magnitudes)]  # fmt: skip
+    path = tmp_path / "tyc2.dat.gz"
+    packed = gzip.compress("".join(row + "\n" for row in rows).encode())
+    path.write_bytes(packed[: len(packed) // 2])
+    unpacked = zlib.decompressobj(31).decompress(path.read_bytes())
+    good = unpacked.count(b"\n")
+    assert 500 < good < 2900
+    for block in (fixed_width._CHUNK_BYTES, 10_000):
+        monkeypatch.setattr(fixed_width, "_CHUNK_BYTES", block)
+        with pytest.raises(InputError, match=f"tyc2.dat.gz: gzip .* after row {good}:"):
+            read_tycho2(path)

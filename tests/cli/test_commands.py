@@ -182,7 +182,7 @@ BAD = [
     (["match", "--store", "S", "--sensor", SENSOR, "--calibration",
       SAMPLE / "ST16-3.initial.json", "--out", "O"], 3, "sensor ST16-3, not ST16-4"),
     (["fit", "--batch", "--store", "S", "--sensor", SENSOR, "--initial", INITIAL, "--out",
-      INITIAL / "x"], 2, "--out"),
+      INITIAL / "x"], 3, "cannot be made"),
     (["frobnicate"], 2, "frobnicate"),
 ]  # fmt: skip
 

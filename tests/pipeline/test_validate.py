@@ -1,6 +1,9 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import simulation, st16_matcher
+from scipy.spatial.transform import Rotation
 
 from stcal.pipeline.validate import compare, validate
 
@@ -32,7 +35,7 @@ def test_a_worse_candidate_is_refused(data):
     assert not document["verdict"]["accepted"]
     text = " ".join(document["verdict"]["reasons"])
     assert "matched stars worse" in text
-    assert "common-pair mean square worse" in text
+    assert "common-pair RMS worse" in text
     assert document["pairs_from"] == "baseline"
 
 
@@ -41,7 +44,41 @@ def test_equal_calibrations_compare_equal(data):
     assert document["matched_star_ratio"] == 1.0
     assert document["rms_ratio"] == 1.0
     assert document["verdict"] == {"accepted": True, "reasons": [], "notes": []}
-    assert np.abs(document["attitude_offset_arcsec"]).max() < 1e-3
+
+
+def test_telemetry_of_the_fit_itself_is_noted(data):
+    span = {"from": "2014-01-01T00:00:00.000Z", "to": "2015-01-01T00:00:00.000Z"}
+    fitted = replace(data.true, provenance=span)
+    document = validate([data.validation.frames], data.true, fitted, st16_matcher(), HASHES)
+    assert "held-out" in document["verdict"]["notes"][0]
+    earlier = replace(data.true, provenance=span | {"to": "2014-01-02T00:00:00.000Z"})
+    document = validate([data.validation.frames], data.true, earlier, st16_matcher(), HASHES)
+    assert document["verdict"]["notes"] == []
+
+
+def test_an_attitude_jump_is_noted(data):
+    turn = Rotation.from_rotvec([3e-4, 0, 0]).as_matrix()
+    turned = replace(data.true, c_sd=turn @ data.true.c_sd)
+    document = validate([data.validation.frames], data.true, turned, st16_matcher(), HASHES)
+    assert "attitudes change by +61.9" in document["verdict"]["notes"][0]
+
+
+def test_a_small_loss_is_noted_but_not_refused(data):
+    """A camera off by a few sd loses under 1 % of RMS, significantly or not."""
+    x = data.true.camera.parameters.copy()
+    x[0] *= 1.0 - 4e-5
+    near = replace(data.true, camera=data.true.camera.with_parameters(x))
+    document = validate([data.validation.frames], data.true, near, st16_matcher(), HASHES)
+    assert 1.0 < document["rms_ratio"] < 1.01
+    assert document["verdict"]["accepted"]
+    assert any("common-pair RMS" in note for note in document["verdict"]["notes"])
+
+
+def test_too_few_frames_are_refused(data):
+    few = data.validation.frames.take(np.arange(5))
+    document = validate([few], data.initial, data.true, st16_matcher(), HASHES)
+    assert not document["verdict"]["accepted"]
+    assert "at least 20 needed" in document["verdict"]["reasons"][0]
 
 
 def test_availability_counts_frames_outside_eclipse_and_intrusion(data):

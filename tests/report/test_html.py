@@ -4,6 +4,7 @@ import json
 import re
 import subprocess
 import sys
+import warnings
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -239,3 +240,50 @@ def test_two_fits_are_a_usage_error(tmp_path: Path) -> None:
     path = tmp_path / "fit.json"
     path.write_text(json.dumps(fit_document(5)))
     assert main(["report", str(path), str(path), "--out", str(tmp_path / "x.html")]) == 2
+
+
+def _scaled(value: Any, size: float) -> Any:
+    """Every number of a document as large as this, signs kept."""
+    if isinstance(value, dict):
+        return {key: _scaled(item, size) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_scaled(item, size) for item in value]
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return size if value >= 0 else -size
+    return value
+
+
+@pytest.mark.parametrize("size", [1e300, -1.7e308, 1e12, 5e-324])
+def test_extreme_numbers_render_without_warnings(size: float) -> None:
+    for document, render in (
+        (fit_document(20), render_fit),
+        (validation_document(20), render_validation),
+    ):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            assert "<svg" in render(_scaled(document, size))
+            for key in ("field", "cycles", "radial", "parameters", "singular_values"):
+                if key in document:
+                    assert "<svg" in render({**document, key: _scaled(document[key], size)})
+
+
+def test_documents_of_two_sensors_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fit, validation = tmp_path / "f.json", tmp_path / "v.json"
+    fit.write_text(json.dumps(fit_document()))
+    validation.write_text(json.dumps({**validation_document(), "sensor_id": "OTHER"}))
+    # In either order on the command line.
+    command = ["report", str(validation), str(fit), "--out", str(tmp_path / "r.html")]
+    assert main(command) == 3
+    told = capsys.readouterr().err
+    assert f"{validation} of sensor 'OTHER'" in told
+    assert f"{fit} is of sensor" in told
+
+
+def test_out_below_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    document = tmp_path / "f.json"
+    document.write_text(json.dumps(fit_document()))
+    out = document / "x" / "r.html"
+    assert main(["report", str(document), "--out", str(out)]) == 3
+    assert f"stcal: {out}: " in capsys.readouterr().err

@@ -1,13 +1,14 @@
 """Scenario files: validation that lists every error, the six sensors, and changes for studies."""
 
 import shutil
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from stcal.errors import ConfigError
-from stcal.simulate import calibrations, load_scenario, scenario_with
+from stcal.simulate import calibrations, load_scenario, scenario_with, simulate
 from stcal.simulate.scenario import NadirPointing
 from stcal.simulate.true_camera import is_one_to_one
 
@@ -117,6 +118,23 @@ def test_the_sensors_own_errors_come_with_the_scenarios(tmp_path):
         (('schema = "stcal.scenario/1"', 'schema = "stcal.scenario/9"'), "schema"),
         (("[orbit]", "[orbit"), "not TOML"),
         (('sensor = "st16.toml"', ""), "sensor"),
+        (('sensor = "st16.toml"', 'sensor = "a\\u0000b"'), "sensor.*null"),
+        (("boresight_b = [0.25, -0.9, -0.36]", "boresight_b = [1e300, 0, 0]"), "boresight_b"),
+        (("boresight_b = [0.25, -0.9, -0.36]", "boresight_b = [1e-300, 0, 0]"), "zero vector"),
+        (("sample_period_s = 40.0", "start_s = 1e308\nsample_period_s = 40.0"), "start_s"),
+        (("sample_period_s = 40.0", "start_s = 3.1e9\nsample_period_s = 40.0"), "year 2100"),
+        (("sample_period_s = 40.0", "sample_period_s = 1e308"), "sample_period_s"),
+        (("sample_period_s = 40.0", "sample_period_s = 1e6\nstart_s = 2.5e9"), "year 2100"),
+        (("sample_period_s = 40.0", 'sample_period_s = "40.0"'), "sample_period_s"),
+        (("2014-02-10T06", "2200-02-10T06"), "year 2100"),
+        (
+            ("sample_period_s = 40.0", f"first_frame_id = {10**15 + 1}\nsample_period_s = 40.0"),
+            "first_frame_id",
+        ),
+        (
+            ("false_stars_per_exposure = 0", "false_stars_per_exposure = 1001\n# 0"),
+            "false_stars_per_exposure",
+        ),
     ],
 )
 def test_single_errors(tmp_path, change, told):
@@ -157,3 +175,21 @@ def test_one_to_one_finds_a_folded_map(scenario):
     folded[names.index("b4_per_m4")] = 0.0
     folded[names.index("b2_per_m2")] = -1.0 / (3.0 * 0.003**2)
     assert not is_one_to_one(true.camera.with_parameters(folded))
+
+
+def test_no_frame_is_looked_for_beyond_the_ephemeris(scenario):
+    """Blind until 2100: an error of the scenario, and no warning of ERFA before it."""
+    blind = scenario_with(
+        scenario,
+        epoch="2099-12-31T00:00:00Z",
+        calibration__sample_period_s=1.0,
+        calibration__segments__0__frames=5000,
+        validation__start_s=40000.0,
+        validation__sample_period_s=1.0,
+        visibility__sun_exclusion_deg=180.0,
+        visibility__keep_flagged=0.0,
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(ConfigError, match="before the year 2100"):
+            simulate(blind, 1)

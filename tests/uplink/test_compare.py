@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import json
+import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -122,8 +124,19 @@ def test_other_detector_is_bad_input(tmp_path: Path) -> None:
     document = json.loads((tmp_path / "new.json").read_text())
     document["camera"]["rows"] = 1000
     write(tmp_path / "new.json", document)
-    with pytest.raises(InputError, match="not comparable"):
+    with pytest.raises(InputError, match=r"not comparable: .*old\.json is .*; .*new\.json is"):
         compare(old, load(tmp_path / "new.json"))
+
+
+def test_the_calibration_without_directions_is_named(tmp_path: Path) -> None:
+    old, _ = pair(tmp_path)
+    names = old.camera.parameter_names
+    values = np.where(np.array(names) == "f_m", np.nan, old.camera.parameters)
+    broken = replace(old, camera=old.camera.with_parameters(values), origin="new.json")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(InputError, match=r"new\.json: gives no directions"):
+            compare(old, broken)
 
 
 def test_command_equals_the_core(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
