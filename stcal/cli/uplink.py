@@ -40,6 +40,8 @@ def build(
 
     document = read_document(validation, (VALIDATION_SCHEMA,)) if validation else None
     built = build_upload(calibration, parent, out, document)
+    if document is None:
+        click.echo("stcal: no --validation: nothing proves this upload on held-out data", err=True)
     emit(_describe(built, validation), as_json, lambda console: _human(built, console))
 
 

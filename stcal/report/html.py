@@ -191,8 +191,8 @@ def _detector_pictures(
     return (
         Picture(
             "Residual field",
-            f"Mean residual (measured minus predicted) in each detector cell, of {basis}, looking out "
-            "along the boresight. Each picture has its own scale, given by the arrow above it. "
+            f"Mean residual (measured minus predicted) in each detector cell, of {basis}, looking "
+            "out along the boresight. Each picture has its own scale, given by the arrow above it. "
             "Grey: fewer than 5 stars.",
             vectors,
         ),
