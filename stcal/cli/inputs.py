@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
@@ -31,8 +32,14 @@ CONFIG = click.option(
     type=click.Path(path_type=Path),
     help="Sensor configuration; the one that ingest recorded in the store if not given.",
 )
+# Small enough to share a night's telemetry among cores; the same whatever their number, so that
+# results are too.
+FRAGMENT_FRAMES = 256
 WORKERS = click.option(
-    "--workers", type=click.IntRange(1, 256), default=1, show_default=True, help="Threads."
+    "--workers",
+    type=click.IntRange(1, 256),
+    default=lambda: min(os.cpu_count() or 1, 4),
+    help="Threads; the processor's cores up to 4 if not given. The result is the same.",
 )
 MATCHING = click.option(
     "--matching",
@@ -91,6 +98,7 @@ def read_inputs(selection: Selection) -> Inputs:
     from stcal.errors import ConfigError, UsageError
     from stcal.matching import Matcher
     from stcal.pipeline.describe import span_of
+    from stcal.telemetry.content import content_sha256
     from stcal.telemetry.store import Store, read_fragment
     from stcal.version import __version__
 
@@ -98,7 +106,7 @@ def read_inputs(selection: Selection) -> Inputs:
     if limits[0] is not None and limits[1] is not None and limits[0] >= limits[1]:
         raise UsageError(f"--from {selection.start} is not before --to {selection.stop}")
     opened, sensor = Store.open(selection.store), selection.sensor
-    fragments = opened.fragments(sensor, *limits)
+    fragments = opened.fragments(sensor, *limits, FRAGMENT_FRAMES)
     settings = load_settings(opened, sensor, selection.config)
     section = settings.catalogue
     full = load_catalogue(settings)
@@ -111,7 +119,7 @@ def read_inputs(selection: Selection) -> Inputs:
     chosen = select(full, section.limiting_magnitude, section.merge_separation_arcsec)
     batches = [read_fragment(fragment) for fragment in fragments]
     provenance = {
-        "telemetry_sha256": opened.sha256(sensor, *limits),
+        "telemetry_sha256": content_sha256(sensor, batches),
         "catalogue_sha256": catalogue_sha256(full),
         "config_sha256": config_sha256(settings),
         "software": f"stcal {__version__}",

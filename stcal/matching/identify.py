@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -22,6 +23,9 @@ from stcal.matching.given_kernels import keep_consistent
 from stcal.matching.index import SkyIndex, build_index
 
 Floats = NDArray[np.float64]
+
+# Workers that need the same index at once must not each build it.
+_INDEX_LOCK = threading.Lock()
 
 REASONS = ("solved", "too few stars", "no match")
 # Chance matches are judged in a field this much denser than the mean sky (the Milky Way).
@@ -45,7 +49,8 @@ class Matcher:
 
     def index(self, year: int) -> SkyIndex:
         """Return the sky index at ``year`` Julian years after J2000.0."""
-        return _index(self, year)
+        with _INDEX_LOCK:
+            return _index(self, year)
 
 
 @lru_cache(maxsize=8)

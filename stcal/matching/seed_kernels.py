@@ -17,7 +17,8 @@ from stcal.matching.verify_kernels import (
 
 SOLVED, TOO_FEW_STARS, NO_MATCH = 0, 1, 2
 
-_TRIALS = 150
+# An exposure that its thirty best triads don't solve was not solved by 150 either.
+_TRIALS = 30
 _CHAIN = 64
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,3 +75,11 @@ class ContentHash:
     def hexdigest(self) -> str:
         """Return the hash of everything so far."""
         return hashlib.sha256(self._frames.digest() + self._stars.digest()).hexdigest()
+
+
+def content_sha256(sensor_id: str, batches: Iterable[FrameBatch]) -> str:
+    """Return the content hash of one sensor's frames in time order."""
+    content = ContentHash(sensor_id)
+    for batch in batches:
+        content.update(batch)
+    return content.hexdigest()

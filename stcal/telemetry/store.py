@@ -26,7 +26,7 @@ from stcal.errors import InputError
 from stcal.frames import FrameBatch, Ints, concatenate
 from stcal.reading import read_json_object
 from stcal.telemetry import parquet, quarantine
-from stcal.telemetry.content import ContentHash
+from stcal.telemetry.content import content_sha256
 from stcal.telemetry.merge import Merge, merge
 from stcal.telemetry.names import sensor_folder
 from stcal.telemetry.schema import (
@@ -131,10 +131,8 @@ class Store:
         self, sensor_id: str, start_tai_ns: int | None = None, stop_tai_ns: int | None = None
     ) -> str:
         """Return the content hash of the selected frames; their sources do not enter it."""
-        content = ContentHash(sensor_id)
-        for fragment in self.fragments(sensor_id, start_tai_ns, stop_tai_ns):
-            content.update(read_fragment(fragment))
-        return content.hexdigest()
+        fragments = self.fragments(sensor_id, start_tai_ns, stop_tai_ns)
+        return content_sha256(sensor_id, map(read_fragment, fragments))
 
     def quarantine(self) -> pa.Table:
         """Return every quarantine record, in the schema of :mod:`stcal.telemetry.quarantine`."""
