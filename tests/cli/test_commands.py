@@ -4,6 +4,7 @@ import json
 import shutil
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -212,14 +213,17 @@ def test_a_calibration_for_another_detector_is_bad_input(work, capsys, tmp_path)
     assert "1024 x 2592" in err
 
 
-def test_internal_errors_are_exit_1_without_a_traceback(capsys, monkeypatch):
+def test_internal_errors_are_exit_1_without_a_traceback(capsys, monkeypatch, tmp_path):
     import stcal.config
 
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     monkeypatch.setattr(stcal.config, "load_config", lambda path: 1 / 0)
     code, _, err = run(capsys, "sensor", "check", "x.toml")
     assert code == 1
     assert "internal error: ZeroDivisionError" in err
     assert "Traceback" not in err
+    (kept,) = tmp_path.glob("stcal-crash-*.txt")
+    assert "Traceback" in kept.read_text()
 
 
 def test_interruption_is_exit_130(capsys, monkeypatch):
