@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
 Floats = NDArray[np.float64]
 
@@ -117,11 +116,7 @@ class Camera:
             (value + 0.5) * (_SLOPE_NODES - 1) / size
             for value, size in ((m, self.rows), (n, self.cols))
         ]
-        columns = [
-            map_coordinates(column.reshape(_SLOPE_NODES, -1), place, order=1, mode="nearest")
-            for column in slopes.T
-        ]
-        return np.stack(columns, axis=1)
+        return _bilinear(slopes.reshape(_SLOPE_NODES, _SLOPE_NODES, -1), *place)
 
     def project(self, s_d: Floats) -> tuple[Floats, Floats]:
         """Return centroids (m, n) in pixels of directions s_d (S, 3): the exact inverse map.
@@ -148,6 +143,16 @@ class Camera:
                     break
             found = visible & (step < 1e-6)
         return np.where(found, m, np.nan), np.where(found, n, np.nan)
+
+
+def _bilinear(table: Floats, x: Floats, y: Floats) -> Floats:
+    """Interpolate a table (N, N, P) at places (S,) in units of its nodes; linear beyond its rim."""
+    i = np.clip(x.astype(np.int64), 0, len(table) - 2)
+    j = np.clip(y.astype(np.int64), 0, len(table) - 2)
+    u, v = (x - i)[:, None], (y - j)[:, None]
+    low = (1.0 - v) * table[i, j] + v * table[i, j + 1]
+    high = (1.0 - v) * table[i + 1, j] + v * table[i + 1, j + 1]
+    return np.asarray((1.0 - u) * low + u * high)
 
 
 def _tangential(s: Floats, length: Floats, derivative: Floats) -> Floats:

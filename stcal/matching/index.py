@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from stcal.catalog.catalogue import StarCatalogue
+from stcal.errors import InputError
 
 Floats = NDArray[np.float64]
 
+# The product of two star numbers fits in 32 bits.
+_MOST_STARS = 65_536
 _LATTICE = np.linspace(-1.0, 1.0, 5)
 _FINEST_CELL_RAD = np.radians(1.0)
 
@@ -90,14 +93,23 @@ def build_index(
 def _pair_table(
     direction: Floats, seeds: NDArray[np.int64], limit_rad: float
 ) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], float]:
+    if len(direction) >= _MOST_STARS:
+        raise InputError(
+            f"{len(direction)} catalogue stars within the limiting magnitude, at most "
+            f"{_MOST_STARS} can be indexed"
+        )
     chord = 2.0 * np.sin(0.5 * min(limit_rad, np.pi))
     pairs = seeds[cKDTree(direction[seeds]).query_pairs(chord, output_type="ndarray")]
     difference = direction[pairs[:, 0]] - direction[pairs[:, 1]]
     length = np.sqrt(np.einsum("pi,pi->p", difference, difference))
     angle = (2.0 * np.arcsin(np.minimum(0.5 * length, 1.0))).astype(np.float32)
-    # Ties broken by the stars, so that the table is the same whatever the tree's order.
-    order = np.lexsort((pairs[:, 1], pairs[:, 0], angle))
-    angle, pairs = angle[order], pairs[order].astype(np.int32)
+    # Sorted by angle (a positive float's bits rise with it), ties by the stars, so that the table
+    # is the same whatever the tree's order.
+    stars = len(direction)
+    names = pairs[:, 0] * stars + pairs[:, 1]
+    key = np.sort((angle.view(np.int32).astype(np.int64) << 32) | names)
+    angle = (key >> 32).astype(np.int32).view(np.float32)
+    pairs = np.stack(np.divmod(key & 0xFFFFFFFF, stars), axis=1).astype(np.int32)
     bins = max(1, len(angle) // 4)
     width = float(limit_rad / bins)
     edges = np.arange(bins + 2) * width
