@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from conftest import st16_matcher
 
+from stcal.errors import InputError
 from stcal.matching.index import build_index, cube_cell
 from stcal.matching.kernels import Sky
 from stcal.matching.verify_kernels import cell_of, nearest_star
@@ -74,3 +75,9 @@ def test_only_seed_stars_make_pairs():
     assert catalogue.magnitude[index.pair_a].max() <= 4.0
     assert catalogue.magnitude[index.pair_b].max() <= 4.0
     assert len(index.pair_a) > 100
+
+
+def test_more_stars_than_the_table_can_hold_are_refused(monkeypatch):
+    monkeypatch.setattr("stcal.matching.index._MOST_STARS", 100)
+    with pytest.raises(InputError, match="at most 100"):
+        build_index(st16_matcher().catalogue, 0.0, np.radians(6.0), 0.006)
