@@ -18,8 +18,7 @@ from scipy.optimize import least_squares
 
 from stcal.execution import serial
 from stcal.matching import match
-from stcal.pipeline.cycles import solve
-from stcal.pipeline.estimate import parameter_scale
+from stcal.pipeline.cycles import parameter_scale, solve
 from stcal.residuals import RESIDUALS, select_stars
 from stcal.simulate import load_scenario, scenario_with, simulate
 from study import ROOT, make_matcher

@@ -28,14 +28,13 @@ class BatchSolution:
     ----------
     parameters : (P,)
     information : the factor at the solution, in scaled parameters (one unit = one Table II sigma)
-    chi2_start, chi2 : weighted sum of squares before and after
+    chi2 : weighted sum of squares at the solution
     iterations : accepted steps
     converged : whether the last step was below a thousandth of every parameter's sd
     """
 
     parameters: Floats
     information: SquareRootInformation
-    chi2_start: float
     chi2: float
     iterations: int
     converged: bool
@@ -49,7 +48,7 @@ def levenberg_marquardt(linearise: Linearise, start: Floats, scale: Floats) -> B
     """
     x = np.array(start, dtype=np.float64)
     here = scaled(linearise(x), scale)
-    chi2_start, damping, accepted, converged = here.chi2, _DAMPING_START, 0, False
+    damping, accepted, converged = _DAMPING_START, 0, False
     for _ in range(_ITERATIONS):
         step = _damped_step(here, damping)
         # The undamped length decides on convergence, or heavy damping would feign it.
@@ -69,7 +68,7 @@ def levenberg_marquardt(linearise: Linearise, start: Floats, scale: Floats) -> B
             damping *= 10.0
             if damping > _DAMPING_LIMIT:
                 break
-    return BatchSolution(x, here, chi2_start, here.chi2, accepted, converged)
+    return BatchSolution(x, here, here.chi2, accepted, converged)
 
 
 def _damped_step(information: SquareRootInformation, damping: float) -> Floats:

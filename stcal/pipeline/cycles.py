@@ -35,8 +35,6 @@ _REJECTION_ROUNDS = 5
 # Matches that may still flicker at the tolerance's edge when the set counts as settled.
 _SETTLED_SHARE = 1e-3
 
-FIRST_MATCHES = ("telemetry", "lost-in-space", "guided")
-
 
 @dataclass(frozen=True)
 class Cycle:
@@ -67,8 +65,8 @@ def run_cycles(
 ) -> tuple[list[Cycle], bool]:
     """Match and fit until the matched set settles; return the cycles and whether it did.
 
-    ``matches`` says where the first cycle's matches come from, a name in FIRST_MATCHES.  Later
-    cycles rematch with the latest camera: lost in space if the first was, else guided by the
+    ``matches`` says where the first cycle's matches come from: ``telemetry`` or a matching method.
+    Later cycles rematch with the latest camera: lost in space if the first was, else guided by the
     previous matches.
     """
     config, camera = matcher.config, initial.camera
@@ -134,9 +132,8 @@ def _fit_matched(
     minimum = config.fit.minimum_stars_per_exposure
     everything = [select_stars(m, config.noise, minimum) for m in matched]
     total = sum(len(s.star) for s in everything)
-    scale = np.array([config.camera.scale[name].sigma for name in camera.parameter_names])
+    scale = parameter_scale(config, camera.parameter_names)
     kept_before: list[StarSelection] | None = None
-    start = None
     for _ in range(_REJECTION_ROUNDS):
         spread = robust_scale(
             np.concatenate(list(mapper(partial(star_departures, camera=camera), everything)))
@@ -153,7 +150,6 @@ def _fit_matched(
             break
         bound = list(mapper(partial(RESIDUALS["arclength"], camera=camera), kept))
         solution = solve(bound, camera, scale, mapper)
-        start = solution.chi2_start if start is None else start
         camera, kept_before = camera.with_parameters(solution.parameters), kept
     kept_before = kept_before or []
     used = sum(len(s.star) for s in kept_before)
@@ -168,6 +164,11 @@ def _fit_matched(
         rejected=total - used,
         changed=changed,
     )
+
+
+def parameter_scale(config: SensorConfig, names: Sequence[str]) -> Floats:
+    """Return Table II's sigma (P,) of each parameter."""
+    return np.array([config.camera.scale[name].sigma for name in names])
 
 
 def _same(a: Sequence[StarSelection], b: Sequence[StarSelection]) -> bool:

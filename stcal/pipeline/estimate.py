@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from stcal.calibration import Calibration
 from stcal.cameras import Camera
-from stcal.config import SensorConfig
 from stcal.constants import EXPOSURES_PER_FRAME
 from stcal.estimators.batch import Observability, covariance_from, observability
 from stcal.execution import OrderedMap
@@ -20,7 +19,7 @@ from stcal.matching import Matcher, match
 from stcal.matching.identify import rematch_given
 from stcal.metrics import coverage, pair_sums
 from stcal.pipeline.alignment import Alignment, update_alignment
-from stcal.pipeline.cycles import Cycle, run_cycles
+from stcal.pipeline.cycles import Cycle, parameter_scale, run_cycles
 
 Floats = NDArray[np.float64]
 
@@ -84,11 +83,6 @@ def estimate_camera(
         rms_initial=before,
         rms_fitted=after,
     )
-
-
-def parameter_scale(config: SensorConfig, names: Sequence[str]) -> Floats:
-    """Return Table II's sigma (P,) of each parameter."""
-    return np.array([config.camera.scale[name].sigma for name in names])
 
 
 def _covariance(cycle: Cycle, scale: Floats) -> Floats:

@@ -22,8 +22,6 @@ from stcal.pipeline.gates import fit_refusals
 
 Floats = NDArray[np.float64]
 
-SCHEMA = "stcal.fit/1"
-
 
 @dataclass(frozen=True)
 class FitResult:
@@ -58,7 +56,7 @@ def fit_batch(
     initial : the calibration to start from
     matcher : catalogue and sensor configuration
     provenance : hashes and time span, stored in the calibration and the document
-    matches : where the first cycle's matches come from (``cycles.FIRST_MATCHES``)
+    matches : where the first cycle's matches come from, ``telemetry`` or a matching method
     mapper : ordered map over the fragments
     on_cycle : told about each finished cycle
     """

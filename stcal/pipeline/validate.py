@@ -99,11 +99,11 @@ def compare(
     )
     bounds = [_bind(matched, c, matcher) for matched, c in ((old, baseline), (new, candidate))]
     # Section II-B: common pairs are the largest set of star pairs available.
-    pairs = [
-        _sums(bound, matched, baseline, counted).pairs.sum()
+    under_baseline = [
+        _sums(bound, matched, baseline, counted)
         for bound, matched in zip(bounds, (old, new), strict=True)
     ]
-    chosen = 0 if pairs[0] > pairs[1] else 1
+    chosen = 0 if under_baseline[0].pairs.sum() > under_baseline[1].pairs.sum() else 1
     larger, matched = bounds[chosen], (old, new)[chosen]
     return Comparison(
         matched=(old, new),
@@ -113,7 +113,7 @@ def compare(
         pairs_from=("baseline", "candidate")[chosen],
         bound=larger,
         sums=(
-            _sums(larger, matched, baseline, counted),
+            under_baseline[chosen],
             _sums(larger, matched, candidate, counted),
         ),
     )

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from stcal.telemetry import parquet
 
@@ -170,18 +169,6 @@ def read_all(store: Path) -> pa.Table:
     """Return every quarantine record of a store."""
     paths = sorted((store / FOLDER).rglob("*.parquet"))
     return pa.concat_tables([schema().empty_table(), *(read_file(path) for path in paths)])
-
-
-def count_rows(table: pa.Table) -> dict[str, int]:
-    """Return the telemetry rows in quarantine by reason."""
-    grouped = table.group_by("code").aggregate([("rows", "sum")])
-    counts = dict(zip(grouped["code"].to_pylist(), grouped["rows_sum"].to_pylist(), strict=True))
-    return {code: counts[code] for code in REASONS if code in counts}
-
-
-def total_rows(table: pa.Table) -> int:
-    """Return the telemetry rows that the records of a table stand for."""
-    return int(pc.sum(table["rows"]).as_py() or 0)
 
 
 def _source_path(store: Path, sha256: str, part: int) -> Path:
