@@ -18,7 +18,8 @@ from scipy.optimize import least_squares
 
 from stcal.execution import serial
 from stcal.matching import match
-from stcal.pipeline.cycles import parameter_scale, solve
+from stcal.pipeline.cycles import solve
+from stcal.pipeline.parameters import parameter_scale
 from stcal.residuals import RESIDUALS, select_stars
 from stcal.simulate import load_scenario, scenario_with, simulate
 from study import ROOT, make_matcher
@@ -48,7 +49,7 @@ def estimator(frames_wanted: int) -> dict:
 
     def ours():
         bound = [RESIDUALS["arclength"](stars, initial.camera)]
-        return bound, solve(bound, initial.camera, scale, serial)
+        return bound, solve(bound, initial.camera, scale, np.arange(8), serial)
 
     ours()
     own_time, (bound, solution) = median_time(ours, 5)

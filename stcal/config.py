@@ -23,6 +23,7 @@ from stcal.reading import read_toml
 SCHEMA = "stcal.sensor/1"
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Magnitude = Annotated[float, Field(ge=-2, le=30)]
@@ -97,7 +98,7 @@ class Noise(_Section):
 
     model: Literal["constant", "intensity"] = "constant"
     sd_px: Positive
-    photon_sd_px: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    photon_sd_px: NotNegative = 0.0
     reference_intensity: Positive = 1000.0
 
 
@@ -151,6 +152,31 @@ class Fit(_Section):
     maximum_noise_scale: Positive = 5.0
 
 
+class Sequential(_Section):
+    """The sequential estimators: what they assume, and when they are not to be trusted."""
+
+    # Uncertainty of the initial calibration, in sigma of each parameter (Table III has up to 10).
+    initial_sd_sigma: Positive = 10.0
+    # Random walk of each parameter, in its sigma per square root of an hour; by name where given.
+    process_noise_sigma: NotNegative = 0.05
+    process_noise: dict[str, NotNegative] = {}
+    # Latest frames that are linearised anew while the estimate still moves far.
+    relinearised_frames: Annotated[int, Field(ge=1, le=10_000)] = 50
+    # Parameters linear in temperature: where they are nominal, the prior sd of a slope in sigma per
+    # kelvin, and twice the log evidence that decides for them (Kass & Raftery 1995: very strong).
+    reference_temperature_c: Finite = 20.0
+    temperature_sd_sigma: Positive = 0.3
+    temperature_evidence: Positive = 10.0
+    # The watch: over so many frames, the estimate falls back to the baseline when it fixes so many
+    # frames fewer, matches a share of stars fewer, or its NIS per arc is so many times the usual.
+    window_frames: Annotated[int, Field(ge=5, le=10_000)] = 25
+    lost_frames: Annotated[int, Field(ge=1)] = 3
+    lost_star_share: Fraction = 0.1
+    divergence: Positive = 4.0
+    # Gate: more fallbacks than these and the result is refused.
+    maximum_fallbacks: Annotated[int, Field(ge=0)] = 1
+
+
 class Validation(_Section):
     """What a comparison on held-out telemetry needs."""
 
@@ -178,8 +204,17 @@ class SensorConfig(_Section):
     catalogue: CatalogueSection
     matching: Matching
     fit: Fit = Fit()
+    sequential: Sequential = Sequential()
     validation: Validation = Validation()
     ingest: Ingest = Ingest()
+
+    @model_validator(mode="after")
+    def _noise_names(self) -> SensorConfig:
+        names = CAMERAS[self.camera.model].parameter_names
+        unknown = [name for name in self.sequential.process_noise if name not in names]
+        if unknown:
+            raise ValueError(f"sequential.process_noise: not a parameter: {', '.join(unknown)}")
+        return self
 
     def applies_to(self, sensor_id: str) -> bool:
         """Whether the configuration describes this sensor."""

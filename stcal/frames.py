@@ -109,14 +109,18 @@ class FrameBatch:
 
     def take(self, frames: NDArray[np.bool_] | Ints) -> FrameBatch:
         """Return the selected frames (mask, or indices in the wanted order) with their stars."""
-        index: Ints = (
-            np.flatnonzero(frames) if frames.dtype == np.bool_ else np.asarray(frames, int)
-        )
-        exposures = (EXPOSURES_PER_FRAME * index[:, None] + np.arange(EXPOSURES_PER_FRAME)).ravel()
+        index, exposures = _with_exposures(frames)
         stars, offsets = take_ranges(self.star_offsets, exposures)
         columns = {name: getattr(self, name)[index] for name in _PER_FRAME}
         columns |= {name: getattr(self, name)[stars] for name in _PER_STAR}
         return replace(self, star_offsets=offsets, **columns)
+
+
+def _with_exposures(frames: NDArray[np.bool_] | Ints) -> tuple[Ints, Ints]:
+    """Return the indices of selected frames, and those of their exposures."""
+    index: Ints = np.flatnonzero(frames) if frames.dtype == np.bool_ else np.asarray(frames, int)
+    exposures = EXPOSURES_PER_FRAME * index[:, None] + np.arange(EXPOSURES_PER_FRAME)
+    return index, exposures.ravel()
 
 
 def take_ranges(offsets: Ints, which: Ints) -> tuple[Ints, Ints]:
@@ -163,6 +167,20 @@ class MatchedFrames:
     reason: NDArray[np.int8]
     c_di: Floats
     residual: Floats
+
+    def take(self, frames: NDArray[np.bool_] | Ints) -> MatchedFrames:
+        """Return the selected frames (mask, or indices in the wanted order) with their matches."""
+        index, exposures = _with_exposures(frames)
+        stars, _ = take_ranges(self.frames.star_offsets, exposures)
+        return MatchedFrames(
+            self.frames.take(index),
+            self.star[stars],
+            self.s_i[stars],
+            self.solved[exposures],
+            self.reason[exposures],
+            self.c_di[exposures],
+            self.residual[stars],
+        )
 
     @cached_property
     def is_matched(self) -> Bools:

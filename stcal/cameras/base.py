@@ -2,6 +2,11 @@
 
 A model writes its native map from centroid to the direction (un-normalised) with both analytic
 Jacobians.  Unit vectors, their Jacobians and the inverse map are common to all models.
+
+The native map is plain arithmetic on components, so that one source serves both whole columns
+(here) and one star at a time inside the compiled filters (stcal.cameras.kernels).  It therefore
+indexes its parameters one by one, returns tuples, writes constants as floats, and calls nothing
+that numba doesn't know for scalars.
 """
 
 from __future__ import annotations
@@ -14,16 +19,22 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-# (parameters (P,), pixel size, m (S,), n (S,)) -> r_d (S, 3)
-RayMap = Callable[[Floats, float, Floats, Floats], Floats]
-# the same arguments -> (r_d (S, 3), dr/dx (S, 3, P), dr/d(m, n) (S, 3, 2))
-RayJacobian = Callable[[Floats, float, Floats, Floats], tuple[Floats, Floats, Floats]]
-# (parameters (P,), pixel size, s_d (S, 3)) -> (m, n), a start for the inverse
+# One component: a column (S,), or one number for all stars (or, compiled, for the one star).
+Component = Floats | float
+# r_d [m], along the axes of D.
+Ray = tuple[Component, Component, Component]
+# r_d, then dr/dx (3 x P) and dr/d(m, n) (3 x 2).
+RayDerivatives = tuple[Ray, tuple[tuple[Component, ...], ...], tuple[tuple[Component, ...], ...]]
+
+# (parameters (P,) or (P, S), pixel size, m (S,), n (S,)) -> r_d
+RayMap = Callable[[Floats, float, Floats, Floats], Ray]
+# the same arguments -> r_d and its derivatives
+RayJacobian = Callable[[Floats, float, Floats, Floats], RayDerivatives]
+# (parameters (P,) or (P, S), pixel size, s_d (S, 3)) -> (m, n), a start for the inverse
 PixelGuess = Callable[[Floats, float, Floats], tuple[Floats, Floats]]
 
 _INVERSE_TOLERANCE_PX = 1e-11
 _INVERSE_ITERATIONS = 50
-_SLOPE_STEP_RAD = 1e-4
 _SLOPE_NODES = 33
 
 
@@ -41,7 +52,11 @@ class CameraModel:
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera model with its detector and its parameter values (P,)."""
+    """A camera model with its detector and its parameter values (P,).
+
+    ``parameters`` may also be (P, S), when each of S centroids has parameters of its own (a
+    drifting camera): directions, jacobian, noise_scale and project then take exactly S centroids.
+    """
 
     model: CameraModel
     rows: int
@@ -71,19 +86,15 @@ class Camera:
     def directions(self, m: Floats, n: Floats) -> Floats:
         """Return unit star vectors s_d (S, 3) of centroids in pixels."""
         r = self.model.ray(self.parameters, self.pixel_size_m, m, n)
-        return np.asarray(r / np.sqrt(np.einsum("si,si->s", r, r))[:, None])
+        return _unit(r, len(m))[0]
 
     def jacobian(self, m: Floats, n: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return s_d (S, 3), ds_d/dx (S, 3, P) and ds_d/d(m, n) (S, 3, 2).
-
-        Normalisation by Enright 2018 eq (40): ds = (I - s s^T) dr / r.
-        """
+        """Return s_d (S, 3), ds_d/dx (S, 3, P) and ds_d/d(m, n) (S, 3, 2)."""
         r, by_parameter, by_pixel = self.model.ray_jacobian(
             self.parameters, self.pixel_size_m, m, n
         )
-        length = np.sqrt(np.einsum("si,si->s", r, r))
-        s = r / length[:, None]
-        return s, _tangential(s, length, by_parameter), _tangential(s, length, by_pixel)
+        s, scale = _unit(r, len(m))
+        return s, _tangential(s, scale, by_parameter), _tangential(s, scale, by_pixel)
 
     def noise_scale(self, m: Floats, n: Floats) -> Floats:
         """Return (S,) rad of direction error per pixel of isotropic centroid error.
@@ -91,32 +102,29 @@ class Camera:
         The root mean square over the two axes of the tangent plane, so that Enright's isotropic
         star-position error (eqs 16-17) keeps the true total variance off the axis.
         """
-        by_pixel = self.jacobian(m, n)[2]
-        return np.asarray(np.sqrt(0.5 * np.einsum("sij,sij->s", by_pixel, by_pixel)))
+        r, _, by_pixel = self.model.ray_jacobian(self.parameters, self.pixel_size_m, m, n)
+        across = _tangential(*_unit(r, len(m)), by_pixel)
+        return np.asarray(np.sqrt(0.5 * np.einsum("sij,sij->s", across, across)))
+
+    def noise_slope_table(self, nodes: int = _SLOPE_NODES) -> Floats:
+        """Return (N, N, P) derivatives of log(noise_scale) by the parameters over the detector."""
+        from stcal.cameras.kernels import CAMERA_KERNELS
+        from stcal.cameras.noise_kernels import slope_table
+
+        table = np.empty((nodes, nodes, len(self.parameters)))
+        slope_table(
+            CAMERA_KERNELS[self.model.name], self.parameters, self.pixel_size_m, self.rows,
+            self.cols, table,
+        )  # fmt: skip
+        return table
 
     def noise_scale_slopes(self, m: Floats, n: Floats) -> Floats:
-        """Return (S, P) derivatives of log(noise_scale) by the parameters.
+        """Return (S, P) derivatives of log(noise_scale) by the parameters, from the table."""
+        from stcal.cameras.noise_kernels import slopes_at
 
-        Central differences over steps that move directions by some 0.1 mrad, on a grid over the
-        detector with linear interpolation: the slopes are smooth, and they only correct R.
-        """
-        axes = [np.linspace(-0.5, size - 0.5, _SLOPE_NODES) for size in (self.rows, self.cols)]
-        grid_m, grid_n = (g.ravel() for g in np.meshgrid(*axes, indexing="ij"))
-        moved = np.sqrt((self.jacobian(grid_m, grid_n)[1] ** 2).sum(axis=1).mean(axis=0))
-        slopes = np.zeros((len(grid_m), len(moved)))
-        for p in np.flatnonzero(moved > 0):
-            offset = np.zeros(len(moved))
-            offset[p] = _SLOPE_STEP_RAD / moved[p]
-            up, down = (
-                self.with_parameters(self.parameters + sign * offset).noise_scale(grid_m, grid_n)
-                for sign in (1.0, -1.0)
-            )
-            slopes[:, p] = np.log(up / down) / (2.0 * offset[p])
-        place = [
-            (value + 0.5) * (_SLOPE_NODES - 1) / size
-            for value, size in ((m, self.rows), (n, self.cols))
-        ]
-        return _bilinear(slopes.reshape(_SLOPE_NODES, _SLOPE_NODES, -1), *place)
+        out = np.empty((len(m), len(self.parameters)))
+        slopes_at(self.noise_slope_table(), self.rows, self.cols, m, n, out)
+        return out
 
     def project(self, s_d: Floats) -> tuple[Floats, Floats]:
         """Return centroids (m, n) in pixels of directions s_d (S, 3): the exact inverse map.
@@ -126,48 +134,42 @@ class Camera:
         one-to-one).
         """
         model = self.model
-        target, visible = _slopes(s_d)
         m, n = model.pixel_guess(self.parameters, self.pixel_size_m, s_d)
         step = np.full(len(m), np.inf)
         with np.errstate(all="ignore"):
+            target_x, target_y = s_d[:, 0] / s_d[:, 2], s_d[:, 1] / s_d[:, 2]
             for _ in range(_INVERSE_ITERATIONS):
                 r, _, by_pixel = model.ray_jacobian(self.parameters, self.pixel_size_m, m, n)
-                slopes, _ = _slopes(r)
-                derivative = (by_pixel[:, :2] - slopes[:, :, None] * by_pixel[:, 2:3]) / r[
-                    :, 2, None, None
-                ]
-                dm, dn = _solve2(derivative, target - slopes)
+                x, y = r[0] / r[2], r[1] / r[2]
+                x_m, x_n = ((by_pixel[0][k] - x * by_pixel[2][k]) / r[2] for k in range(2))
+                y_m, y_n = ((by_pixel[1][k] - y * by_pixel[2][k]) / r[2] for k in range(2))
+                determinant = x_m * y_n - x_n * y_m
+                dm = (y_n * (target_x - x) - x_n * (target_y - y)) / determinant
+                dn = (x_m * (target_y - y) - y_m * (target_x - x)) / determinant
                 m, n = m + dm, n + dn
                 step = np.hypot(dm, dn)
                 if not np.any(step > _INVERSE_TOLERANCE_PX):
                     break
-            found = visible & (step < 1e-6)
+            found = (s_d[:, 2] > 0) & (step < 1e-6)
         return np.where(found, m, np.nan), np.where(found, n, np.nan)
 
 
-def _bilinear(table: Floats, x: Floats, y: Floats) -> Floats:
-    """Interpolate a table (N, N, P) at places (S,) in units of its nodes; linear beyond its rim."""
-    i = np.clip(x.astype(np.int64), 0, len(table) - 2)
-    j = np.clip(y.astype(np.int64), 0, len(table) - 2)
-    u, v = (x - i)[:, None], (y - j)[:, None]
-    low = (1.0 - v) * table[i, j] + v * table[i, j + 1]
-    high = (1.0 - v) * table[i + 1, j] + v * table[i + 1, j + 1]
-    return np.asarray((1.0 - u) * low + u * high)
+def _unit(r: Ray, count: int) -> tuple[Floats, Floats]:
+    """Return s_d (S, 3) and 1 / r (S,) of rays."""
+    scale = 1.0 / np.sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2])
+    s = np.empty((count, 3))
+    for i in range(3):
+        s[:, i] = r[i] * scale
+    return s, np.asarray(scale)
 
 
-def _tangential(s: Floats, length: Floats, derivative: Floats) -> Floats:
-    along = np.einsum("si,sik->sk", s, derivative)
-    return np.asarray((derivative - s[:, :, None] * along[:, None, :]) / length[:, None, None])
-
-
-def _slopes(r: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    in_front = r[:, 2] > 0
-    with np.errstate(all="ignore"):
-        return np.asarray(r[:, :2] / r[:, 2:3]), in_front
-
-
-def _solve2(a: Floats, b: Floats) -> tuple[Floats, Floats]:
-    determinant = a[:, 0, 0] * a[:, 1, 1] - a[:, 0, 1] * a[:, 1, 0]
-    x = (a[:, 1, 1] * b[:, 0] - a[:, 0, 1] * b[:, 1]) / determinant
-    y = (a[:, 0, 0] * b[:, 1] - a[:, 1, 0] * b[:, 0]) / determinant
-    return x, y
+def _tangential(s: Floats, scale: Floats, derivative: tuple[tuple[Component, ...], ...]) -> Floats:
+    """Return derivatives (S, 3, K) of unit vectors, Enright 2018 eq (40): (I - s s^T) dr / r."""
+    x, y, z = s.T.copy()
+    out = np.empty((len(s), 3, len(derivative[0])))
+    for k, (dx, dy, dz) in enumerate(zip(*derivative, strict=True)):
+        along = x * dx + y * dy + z * dz
+        out[:, 0, k] = (dx - x * along) * scale
+        out[:, 1, k] = (dy - y * along) * scale
+        out[:, 2, k] = (dz - z * along) * scale
+    return out

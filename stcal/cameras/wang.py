@@ -2,6 +2,8 @@
 
 Parameters x = [f, m0, n0, b4, b2, a1, a2, g_y]: focal length, principal point, radial
 coefficients, linearised detector rotations (decentring and prism), pixel aspect.
+
+``ray`` and ``ray_jacobian`` serve numpy (whole columns) and numba (one star, see wang_kernels).
 """
 
 from __future__ import annotations
@@ -9,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stcal.cameras.base import CameraModel
+from stcal.cameras.base import CameraModel, Ray, RayDerivatives
 
 Floats = NDArray[np.float64]
 
@@ -25,62 +27,55 @@ PARAMETER_NAMES = (
 )
 
 
-def ray(x: Floats, pixel_size_m: float, m: Floats, n: Floats) -> Floats:
-    """Return r_d (S, 3) [m] of centroids (S,) [px], Enright 2018 eqs (1)-(6)."""
-    f, m0, n0, b4, b2, a1, a2, g_y = x
+def ray(x: Floats, pixel_size_m: float, m: Floats, n: Floats) -> Ray:
+    """Return r_d [m] of centroids [px], Enright 2018 eqs (1)-(6)."""
+    f, m0, n0, b4, b2, a1, a2, g_y = x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7]
     u = pixel_size_m * (m - m0)
     v = g_y * pixel_size_m * (n - n0)
     tilt = f / (a1 * v + a2 * u + f)
     U, V = u * tilt, v * tilt
     rho2 = U * U + V * V
     B = 1.0 + rho2 * (b2 + rho2 * b4)
-    return np.stack([B * U, B * V, np.full_like(U, f)], axis=-1)
+    return B * U, B * V, f
 
 
-def ray_jacobian(
-    x: Floats, pixel_size_m: float, m: Floats, n: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """Return r_d (S, 3), dr/dx (S, 3, 8) and dr/d(m, n) (S, 3, 2).
+def ray_jacobian(x: Floats, pixel_size_m: float, m: Floats, n: Floats) -> RayDerivatives:
+    """Return r_d, dr/dx (3 x 8) and dr/d(m, n) (3 x 2).
 
-    Enright 2018 Appendix B, eqs (41)-(77), with the common factors taken out: every parameter
-    but b2 and b4 acts through (U, V), and dB = (4 b4 rho^3 + 2 b2 rho) drho.
+    Enright 2018 Appendix B, eqs (41)-(77), by the chain rule: ``tilt`` = f / (a1 v + a2 u + f),
+    (U, V) = tilt (u, v), (X, Y) = B (U, V) with dB = (4 b4 rho^3 + 2 b2 rho) drho.  ``X_u`` is
+    dX/du, and so on.
     """
-    f, m0, n0, b4, b2, a1, a2, g_y = x
-    u = pixel_size_m * (m - m0)
-    dn = pixel_size_m * (n - n0)
+    f, m0, n0, b4, b2, a1, a2, g_y = x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7]
+    u, dn = pixel_size_m * (m - m0), pixel_size_m * (n - n0)
     v = g_y * dn
     tilt_sum = a1 * v + a2 * u
-    denominator = tilt_sum + f
-    d2 = denominator * denominator
-    U, V = u * f / denominator, v * f / denominator
+    tilt = f / (tilt_sum + f)
+    tilt_f = tilt_sum / ((tilt_sum + f) * (tilt_sum + f))
+    tilt_slope = -tilt / (tilt_sum + f)  # dtilt / dtilt_sum
+    tilt_u, tilt_v = tilt_slope * a2, tilt_slope * a1
+    tilt_a1, tilt_a2 = tilt_slope * v, tilt_slope * u
+
+    U, V = u * tilt, v * tilt
     rho2 = U * U + V * V
     B = 1.0 + rho2 * (b2 + rho2 * b4)
     slope = 2.0 * b2 + 4.0 * b4 * rho2  # (dB/drho) / rho
+    X_U, X_V, Y_V = B + slope * U * U, slope * U * V, B + slope * V * V  # Y_U = X_V
+    X_tilt, Y_tilt = X_U * u + X_V * v, X_V * u + Y_V * v
+    X_m = pixel_size_m * (X_U * tilt + X_tilt * tilt_u)
+    Y_m = pixel_size_m * (X_V * tilt + Y_tilt * tilt_u)
+    X_v, Y_v = X_V * tilt + X_tilt * tilt_v, Y_V * tilt + Y_tilt * tilt_v
+    X_n, Y_n = pixel_size_m * g_y * X_v, pixel_size_m * g_y * Y_v
 
-    U_u, U_v = f * (a1 * v + f) / d2, -a1 * u * f / d2
-    V_u, V_v = -a2 * v * f / d2, f * (a2 * u + f) / d2
-    zero = np.zeros_like(u)
-    dU = np.stack(
-        [u * tilt_sum / d2, -pixel_size_m * U_u, -pixel_size_m * g_y * U_v, zero, zero,
-         -v * u * f / d2, -u * u * f / d2, dn * U_v, pixel_size_m * U_u,
-         pixel_size_m * g_y * U_v],
-        axis=-1,
+    X_b2, Y_b2 = rho2 * U, rho2 * V
+    by_parameter = (
+        (X_tilt * tilt_f, -X_m, -X_n, rho2 * X_b2, X_b2,
+         X_tilt * tilt_a1, X_tilt * tilt_a2, dn * X_v),
+        (Y_tilt * tilt_f, -Y_m, -Y_n, rho2 * Y_b2, Y_b2,
+         Y_tilt * tilt_a1, Y_tilt * tilt_a2, dn * Y_v),
+        (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
     )  # fmt: skip
-    dV = np.stack(
-        [v * tilt_sum / d2, -pixel_size_m * V_u, -pixel_size_m * g_y * V_v, zero, zero,
-         -v * v * f / d2, -v * u * f / d2, dn * V_v, pixel_size_m * V_u,
-         pixel_size_m * g_y * V_v],
-        axis=-1,
-    )  # fmt: skip
-    dB = slope[:, None] * (U[:, None] * dU + V[:, None] * dV)
-    dB[:, 3] += rho2 * rho2
-    dB[:, 4] += rho2
-    jacobian = np.zeros((len(u), 3, 10))
-    jacobian[:, 0] = dB * U[:, None] + B[:, None] * dU
-    jacobian[:, 1] = dB * V[:, None] + B[:, None] * dV
-    jacobian[:, 2, 0] = 1.0
-    r = np.stack([B * U, B * V, np.full_like(U, f)], axis=-1)
-    return r, jacobian[:, :, :8], jacobian[:, :, 8:]
+    return (B * U, B * V, f), by_parameter, ((X_m, X_n), (Y_m, Y_n), (0.0, 0.0))
 
 
 def pixel_guess(x: Floats, pixel_size_m: float, s_d: Floats) -> tuple[Floats, Floats]:

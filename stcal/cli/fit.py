@@ -1,4 +1,4 @@
-"""``stcal fit``: refit the camera from stored telemetry."""
+"""``stcal fit``: refit the camera from stored telemetry, at once or frame by frame."""
 
 from __future__ import annotations
 
@@ -7,16 +7,23 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from stcal.cli.inputs import OUT, Selection, read_inputs, store_options
+from stcal.cli.filter_options import FilterOptions, filter_options
+from stcal.cli.inputs import OUT, Inputs, Selection, read_inputs, store_options
 from stcal.cli.output import emit, progress
 from stcal.cli.paths import output_folder
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from stcal.calibration import Calibration
+
+FITTED, DOCUMENT, REPORT = "calibration.json", "fit.json", "report.html"
+STATE, HISTORY = "state.json", "history.parquet"
+
 
 @click.command(name="fit")
 @click.option("--batch", is_flag=True, help="Fit all frames at once, in cycles of rematching.")
+@filter_options
 @click.option(
     "--initial",
     required=True,
@@ -28,52 +35,115 @@ if TYPE_CHECKING:
     type=click.Choice(["telemetry", "lost-in-space", "guided"]),
     default="lost-in-space",
     show_default=True,
-    help="Where the first cycle's star matches come from.",
+    help="Where the star matches come from (batch: those of the first cycle).",
 )
+@click.option("--parameters", help="Parameters to estimate, e.g. f_m,m0_px,n0_px; all by default.")
 @OUT
 @store_options
 def command(
     batch: bool,
+    filtering: FilterOptions,
     initial: Path,
     matches: str,
+    parameters: str | None,
     out: Path,
     selection: Selection,
     workers: int,
     as_json: bool,
 ) -> None:
-    """Refit the camera and update C_SD.
+    """Refit the camera and update C_SD, with --batch or --sequential METHOD.
 
     Writes fit.json and report.html into --out, and calibration.json when every gate lets the fit
-    pass; a refused fit ends with exit code 4 and its reasons.
+    pass; a refused fit ends with exit code 4 and its reasons.  A sequential fit also writes
+    history.parquet (a row per frame) and state.json, from which --state goes on.
     """
-    from stcal.calibration import load, save, sha256_of
+    from stcal.calibration import load, sha256_of
     from stcal.errors import UsageError
-    from stcal.execution import scheduler
-    from stcal.pipeline.fit import fit_batch, refusal_of
 
-    if not batch:
-        raise UsageError("say how to fit: --batch")
-    target = output_folder(out) / "calibration.json"
+    if batch == (filtering.method is not None):
+        raise UsageError("say how to fit: --batch or --sequential METHOD")
+    filtering.check(batch)
+    output_folder(out)
     parent = load(initial)
     inputs = read_inputs(selection)
-    provenance = inputs.provenance | {"parent_sha256": sha256_of(initial)}
-    limit = inputs.matcher.config.fit.maximum_cycles
-    with scheduler(workers) as mapper, progress(f"fit {selection.sensor}", total=limit) as bar:
-        result = fit_batch(
-            inputs.batches, parent, inputs.matcher, provenance, matches, mapper,
-            lambda cycle: bar.advance(),
-        )  # fmt: skip
-    document = result.document
-    # The calibration goes first and comes last: beside documents it is always theirs.
-    target.unlink(missing_ok=True)
-    write_documents(document, out / "fit.json", out / "report.html")
-    if result.calibration is not None:
-        save(result.calibration, target)
+    inputs.provenance["parent_sha256"] = sha256_of(initial)
+    names = None if parameters is None else tuple(p.strip() for p in parameters.split(","))
+    label = f"fit {selection.sensor}"
+    if batch:
+        document, calibration = _batch(inputs, parent, matches, names, workers, label)
     else:
+        document, calibration = _sequential(
+            inputs, parent, matches, names, workers, label, filtering, out
+        )
+    _write(document, calibration, out)
+    if calibration is None:
+        from stcal.pipeline.fit import refusal_of
+
         if not as_json:
             emit(document, as_json, lambda console: _tables(document, console))
         raise refusal_of(document)
     emit(document, as_json, lambda console: _tables(document, console))
+
+
+def _batch(
+    inputs: Inputs,
+    parent: Calibration,
+    matches: str,
+    names: tuple[str, ...] | None,
+    workers: int,
+    label: str,
+) -> tuple[dict[str, Any], Calibration | None]:
+    from stcal.execution import scheduler
+    from stcal.pipeline.fit import fit_batch
+
+    limit = inputs.matcher.config.fit.maximum_cycles
+    with scheduler(workers) as mapper, progress(label, total=limit) as bar:
+        result = fit_batch(
+            inputs.batches, parent, inputs.matcher, inputs.provenance, matches, names, mapper,
+            lambda cycle: bar.advance(),
+        )  # fmt: skip
+    return result.document, result.calibration
+
+
+def _sequential(
+    inputs: Inputs,
+    parent: Calibration,
+    matches: str,
+    names: tuple[str, ...] | None,
+    workers: int,
+    label: str,
+    filtering: FilterOptions,
+    out: Path,
+) -> tuple[dict[str, Any], Calibration | None]:
+    from stcal.execution import scheduler
+    from stcal.pipeline.filter_state import StateFile, save_state
+    from stcal.pipeline.sequential import fit_sequential
+    from stcal.telemetry.history import write_history
+
+    variant = filtering.variant(matches, names, inputs.matcher.config)
+    setting = filtering.setting(variant, parent, inputs.provenance)
+    states, before = filtering.earlier(setting, HISTORY)
+    with scheduler(workers) as mapper, progress(label, total=len(inputs.batches)) as bar:
+        result = fit_sequential(
+            inputs.batches, parent, inputs.matcher, inputs.provenance, variant, states, before,
+            mapper, bar.advance,
+        )  # fmt: skip
+    (out / FITTED).unlink(missing_ok=True)
+    for name, run in result.runs.items():
+        history = HISTORY if name == "constant" else f"{name}-{HISTORY}"
+        write_history(run.history, run.filter, out / history)
+    save_state(StateFile(setting, result.states), out / STATE)
+    return result.document, result.calibration
+
+
+def _write(document: dict[str, Any], calibration: Calibration | None, out: Path) -> None:
+    """Write a fit's files; the calibration goes first and comes last: it is always theirs."""
+    from stcal.calibration import save
+
+    (out / FITTED).unlink(missing_ok=True)
+    write_documents(document, out / DOCUMENT, out / REPORT)
+    if calibration is not None:
+        save(calibration, out / FITTED)
 
 
 def write_documents(document: dict[str, Any], path: Path, report: Path) -> None:

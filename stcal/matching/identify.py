@@ -122,10 +122,10 @@ def match(
     reason = np.empty(frames.n_exposures, np.int8)
     start = chosen.hints(frames, hints, c_sd)
     rows = observer.rows
-    for year, stretch in _by_year(observer.years):
+    for year, stretch in by_year(observer.years):
         first, last = EXPOSURES_PER_FRAME * stretch.start, EXPOSURES_PER_FRAME * stretch.stop
         a, b = frames.star_offsets[first], frames.star_offsets[last]
-        sky, rule, work = _kernel_input(matcher.index(year), config.matching, frames, first, last)
+        sky, rule, work = kernel_input(matcher.index(year), config.matching, frames, first, last)
         kernels.identify(
             frames.star_offsets[first : last + 1] - a, s_d[a:b], frames.intensity[a:b],
             rows[stretch], start[first:last], chosen.guided, sky, rule, work,
@@ -196,7 +196,7 @@ def _drop_repeated(frames: FrameBatch, star: NDArray[np.int32]) -> None:
     star[matched[counts[inverse] > 1]] = -1
 
 
-def _by_year(years: Floats) -> list[tuple[int, slice]]:
+def by_year(years: Floats) -> list[tuple[int, slice]]:
     """Split frames into stretches of the same whole year of epoch."""
     whole = np.round(years).astype(int)
     edges = np.flatnonzero(np.diff(whole)) + 1
@@ -204,9 +204,10 @@ def _by_year(years: Floats) -> list[tuple[int, slice]]:
     return [(int(whole[a]), slice(int(a), int(b))) for a, b in itertools.pairwise(bounds) if b > a]
 
 
-def _kernel_input(
+def kernel_input(
     index: SkyIndex, rules: Matching, frames: FrameBatch, first: int, last: int
 ) -> tuple[kernels.Sky, kernels.Rule, kernels.Work]:
+    """Return what the kernels need for exposures ``first`` to ``last``: sky, rules, scratch."""
     pair_tolerance, limit = rules.pair_tolerance_urad * URAD, rules.pair_limit_deg * DEG
     tolerance = rules.star_tolerance_urad * URAD
     pairs = len(index.pair_angle)

@@ -18,6 +18,7 @@ from stcal.execution import OrderedMap
 from stcal.frames import FrameBatch, MatchedFrames
 from stcal.matching import Matcher, match
 from stcal.matching.identify import rematch_given, telemetered_matches
+from stcal.pipeline.parameters import parameter_scale
 from stcal.residuals import RESIDUALS
 from stcal.residuals.arclength import BoundArclength
 from stcal.residuals.selection import (
@@ -29,6 +30,7 @@ from stcal.residuals.selection import (
 )
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 # Outliers are judged anew after each fit; it settles in two or three rounds.
 _REJECTION_ROUNDS = 5
@@ -60,12 +62,14 @@ def run_cycles(
     initial: Calibration,
     matcher: Matcher,
     matches: str,
+    free: Ints,
     mapper: OrderedMap,
     on_cycle: Callable[[Cycle], None],
 ) -> tuple[list[Cycle], bool]:
     """Match and fit until the matched set settles; return the cycles and whether it did.
 
     ``matches`` says where the first cycle's matches come from: ``telemetry`` or a matching method.
+    ``free`` are the places of the parameters to estimate; the others keep their initial values.
     Later cycles rematch with the latest camera: lost in space if the first was, else guided by the
     previous matches.
     """
@@ -80,7 +84,7 @@ def run_cycles(
         task = partial(_match_one, camera=camera, c_sd=initial.c_sd, matcher=matcher, method=method)
         matched = list(mapper(task, items))
         changed = _changes(previous, matched)
-        cycle = _fit_matched(matched, camera, config, mapper, method, changed)
+        cycle = _fit_matched(matched, camera, config, free, mapper, method, changed)
         cycles.append(cycle)
         on_cycle(cycle)
         if not np.isfinite(cycle.camera.parameters).all() or not cycle.bound:
@@ -124,6 +128,7 @@ def _fit_matched(
     matched: list[MatchedFrames],
     camera: Camera,
     config: SensorConfig,
+    free: Ints,
     mapper: OrderedMap,
     matching: str,
     changed: int,
@@ -135,25 +140,15 @@ def _fit_matched(
     scale = parameter_scale(config, camera.parameter_names)
     kept_before: list[StarSelection] | None = None
     for _ in range(_REJECTION_ROUNDS):
-        spread = robust_scale(
-            np.concatenate(list(mapper(partial(star_departures, camera=camera), everything)))
-        )
-        reject = partial(
-            reject_outliers,
-            camera=camera,
-            sigma=config.fit.rejection_sigma,
-            scale=spread,
-            minimum=minimum,
-        )
-        kept = list(mapper(reject, everything))
+        kept = without_outliers(everything, camera, config, mapper)
         if kept_before is not None and _same(kept_before, kept):
             break
         bound = list(mapper(partial(RESIDUALS["arclength"], camera=camera), kept))
-        solution = solve(bound, camera, scale, mapper)
-        camera, kept_before = camera.with_parameters(solution.parameters), kept
+        solution = solve(bound, camera, scale, free, mapper)
+        camera, kept_before = with_estimated(camera, free, solution.parameters), kept
     kept_before = kept_before or []
     used = sum(len(s.star) for s in kept_before)
-    dof = solution.information.rows - len(scale)
+    dof = solution.information.rows - len(free)
     return Cycle(
         matching=matching,
         matched=matched,
@@ -166,26 +161,50 @@ def _fit_matched(
     )
 
 
-def parameter_scale(config: SensorConfig, names: Sequence[str]) -> Floats:
-    """Return Table II's sigma (P,) of each parameter."""
-    return np.array([config.camera.scale[name].sigma for name in names])
+def without_outliers(
+    everything: Sequence[StarSelection], camera: Camera, config: SensorConfig, mapper: OrderedMap
+) -> list[StarSelection]:
+    """Leave out stars beyond ``rejection_sigma`` robust sd, at a scale common to all fragments."""
+    departures = list(mapper(partial(star_departures, camera=camera), everything))
+    reject = partial(
+        reject_outliers,
+        camera=camera,
+        sigma=config.fit.rejection_sigma,
+        scale=robust_scale(np.concatenate(departures)),
+        minimum=config.fit.minimum_stars_per_exposure,
+    )
+    return list(mapper(reject, everything))
 
 
 def _same(a: Sequence[StarSelection], b: Sequence[StarSelection]) -> bool:
     return all(np.array_equal(x.star, y.star) for x, y in zip(a, b, strict=True))
 
 
+def with_estimated(camera: Camera, free: Ints, values: Floats) -> Camera:
+    """Return the camera with new values of the estimated parameters."""
+    parameters = camera.parameters.copy()
+    parameters[free] = values
+    return camera.with_parameters(parameters)
+
+
 def solve(
-    bound: Sequence[BoundArclength], camera: Camera, scale: Floats, mapper: OrderedMap
+    bound: Sequence[BoundArclength], camera: Camera, scale: Floats, free: Ints, mapper: OrderedMap
 ) -> BatchSolution:
-    """Run the batch estimator over fragments of whitened residuals."""
+    """Run the batch estimator over fragments of whitened residuals, for parameters ``free``."""
 
-    def linearise(parameters: Floats) -> SquareRootInformation:
-        task = partial(_reduce, camera=camera.with_parameters(parameters))
-        return merge(mapper(task, bound))
+    def linearise(values: Floats) -> SquareRootInformation:
+        return information_at(bound, with_estimated(camera, free, values), free, mapper)
 
-    return levenberg_marquardt(linearise, camera.parameters, scale)
+    return levenberg_marquardt(linearise, camera.parameters[free], scale[free])
 
 
-def _reduce(bound: BoundArclength, camera: Camera) -> SquareRootInformation:
-    return reduce_rows(bound.linearise(camera), bound.rows)
+def information_at(
+    bound: Sequence[BoundArclength], camera: Camera, free: Ints, mapper: OrderedMap
+) -> SquareRootInformation:
+    """Return the merged factor of [H | r] at a camera, for parameters ``free``."""
+    return merge(mapper(partial(_reduce, camera=camera, free=free), bound))
+
+
+def _reduce(bound: BoundArclength, camera: Camera, free: Ints) -> SquareRootInformation:
+    rows = bound.linearise(camera)
+    return reduce_rows(rows[:, np.append(free, rows.shape[1] - 1)], bound.rows)

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from stcal.calibration import Calibration
 from stcal.constants import ARCSEC, URAD
+from stcal.estimators.batch import Observability
 from stcal.frames import FrameBatch
 from stcal.matching import Matcher
 from stcal.pipeline.cycles import Cycle
-from stcal.pipeline.estimate import Estimate
+from stcal.pipeline.estimate import Estimate, Solution
 from stcal.pipeline.numbers import number, numbers
 from stcal.pipeline.views import residual_views, series
 from stcal.times import format_utc
@@ -45,8 +46,10 @@ def span_of(batches: Sequence[FrameBatch]) -> dict[str, Any]:
     return {"from": format_utc(first), "to": format_utc(last)}
 
 
-def fit_document(
+def batch_document(
     estimate: Estimate,
+    cycles: Sequence[Cycle],
+    settled: bool,
     batches: Sequence[FrameBatch],
     initial: Calibration,
     matcher: Matcher,
@@ -54,52 +57,67 @@ def fit_document(
     provenance: dict[str, Any],
     matches: str,
 ) -> dict[str, Any]:
-    """Return the document of a fit, schema ``stcal.fit/1``."""
-    last = estimate.last
-    observed = estimate.observed
-    selections = [bound.selection for bound in last.bound]
+    """Return the document of a batch fit, schema ``stcal.fit/1``."""
+    rows = [_cycle(cycles, k, estimate.solution) for k in range(len(cycles))]
+    return fit_document(estimate, batches, initial, matcher, refusals, provenance) | {
+        "method": "batch",
+        "matches": matches,
+        "cycles": rows,
+        "settled": settled,
+    }
+
+
+def fit_document(
+    estimate: Estimate,
+    batches: Sequence[FrameBatch],
+    initial: Calibration,
+    matcher: Matcher,
+    refusals: list[str],
+    provenance: dict[str, Any],
+) -> dict[str, Any]:
+    """Return what the documents of all estimators share."""
+    solution, observed = estimate.solution, estimate.observed
+    selections = [bound.selection for bound in solution.bound]
     return {
         **header("stcal.fit/1", initial.sensor_id),
-        "method": "batch",
         "residual": "arclength",
-        "matches": matches,
         "verdict": {"accepted": not refusals, "reasons": refusals, "notes": notes(batches)},
         "frames": sum(b.n_frames for b in batches),
         "frames_solved": {
             "initial": sum(int(m.frame_solved.sum()) for m in estimate.baseline),
-            "fitted": sum(int(m.frame_solved.sum()) for m in last.matched),
+            "fitted": sum(int(m.frame_solved.sum()) for m in solution.matched),
         },
         "matched_stars": {
             "initial": sum(int(m.is_matched.sum()) for m in estimate.baseline),
-            "fitted": last.matched_stars,
+            "fitted": solution.matched_stars,
         },
         "exposures_used": sum(s.n_exposures for s in selections),
         "stars_used": sum(len(s.star) for s in selections),
-        "arcs": last.solution.information.rows,
-        "arcs_dependent": sum(b.dependent for b in last.bound),
+        "stars_rejected": solution.rejected,
+        "arcs": solution.information.rows,
+        "arcs_dependent": sum(b.dependent for b in solution.bound),
         "span": span_of(batches),
-        "cycles": [_cycle(estimate.cycles, k, estimate) for k in range(len(estimate.cycles))],
-        "settled": estimate.settled,
-        "parameters": _parameters(estimate, initial, matcher),
-        "covariance": numbers(estimate.covariance),
-        "correlation": numbers(_correlation(estimate.covariance)),
+        "parameters": _parameters(solution, initial, matcher),
+        "estimated_parameters": solution.estimated_names,
+        "covariance": numbers(solution.covariance),
+        "correlation": numbers(_correlation(solution)),
         "condition": {
             "raw": number(observed.condition_raw),
             "scaled": number(observed.condition_scaled),
         },
         "singular_values": numbers(observed.singular_values),
         "singular_vectors": numbers(observed.singular_vectors),
-        "observability": observability_sentence(estimate, last.camera.parameter_names),
+        "observability": observability_sentence(observed, solution.estimated_names),
         "rms_urad": {
             "initial": number(estimate.rms_initial / URAD),
             "fitted": number(estimate.rms_fitted / URAD),
         },
-        "noise": {"sd_px": matcher.config.noise.sd_px, "scale": number(last.noise_scale)},
+        "noise": {"sd_px": matcher.config.noise.sd_px, "scale": number(solution.noise_scale)},
         "coverage": number(estimate.coverage),
         "c_sd": _alignment(estimate),
-        **residual_views(selections, initial.camera, last.camera),
+        **residual_views(selections, initial.camera, solution.camera),
         "series": series(
-            estimate.baseline, last.matched, ("matched_initial", "matched_fitted"),
+            estimate.baseline, solution.matched, ("matched_initial", "matched_fitted"),
             ("fix_initial", "fix_fitted"),
         ),
         "provenance": provenance,
@@ -119,19 +137,19 @@ def notes(batches: Sequence[FrameBatch]) -> list[str]:
 
 def quality(document: dict[str, Any]) -> dict[str, Any]:
     """Return the part of a fit's document that the calibration file carries."""
-    keys = ("verdict", "frames", "exposures_used", "stars_used", "arcs", "settled", "rms_urad",
-            "noise", "coverage", "condition", "observability")  # fmt: skip
+    keys = ("method", "verdict", "frames", "exposures_used", "stars_used", "arcs", "rms_urad",
+            "estimated_parameters", "noise", "coverage", "condition", "observability")  # fmt: skip
     alignment = {k: v for k, v in document["c_sd"].items() if k != "matrix"}
     return {key: document[key] for key in keys} | {"c_sd": alignment}
 
 
-def _cycle(cycles: Sequence[Cycle], k: int, estimate: Estimate) -> dict[str, Any]:
-    cycle = cycles[k]
-    before = cycles[k - 1].camera.parameters if k else None
-    sd = np.sqrt(np.diag(estimate.covariance))
+def _cycle(cycles: Sequence[Cycle], k: int, solution: Solution) -> dict[str, Any]:
+    cycle, free = cycles[k], solution.free
+    before = cycles[k - 1].camera.parameters[free] if k else None
+    sd = np.sqrt(np.diag(solution.covariance))[free]
     moved = None
     if before is not None and np.isfinite(sd).all():
-        moved = number(float(np.max(np.abs(cycle.camera.parameters - before) / sd)))
+        moved = number(float(np.max(np.abs(cycle.camera.parameters[free] - before) / sd)))
     squares = sum(float((b.departures(cycle.camera) ** 2).sum()) for b in cycle.bound)
     arcs = sum(len(b.arc) for b in cycle.bound)
     return {
@@ -145,16 +163,18 @@ def _cycle(cycles: Sequence[Cycle], k: int, estimate: Estimate) -> dict[str, Any
         "converged": cycle.solution.converged,
         "rms_urad": number(math.sqrt(squares / arcs) / URAD) if arcs else None,
         "chi2": number(cycle.solution.chi2),
-        "dof": cycle.solution.information.rows - len(cycle.camera.parameters),
+        "dof": cycle.solution.information.rows - len(free),
         "noise_scale": number(cycle.noise_scale),
         "stars_rejected": cycle.rejected,
         "change_sd": moved,
     }
 
 
-def _parameters(estimate: Estimate, initial: Calibration, matcher: Matcher) -> list[dict[str, Any]]:
-    camera = estimate.last.camera
-    sd = np.sqrt(np.diag(estimate.covariance))
+def _parameters(solution: Solution, initial: Calibration, matcher: Matcher) -> list[dict[str, Any]]:
+    """Return one row per camera parameter; one that is held fixed has no sd."""
+    camera = solution.camera
+    sd = np.sqrt(np.diag(solution.covariance))
+    sd[np.setdiff1d(np.arange(len(sd)), solution.free)] = np.nan
     rows = []
     for k, name in enumerate(camera.parameter_names):
         change = float(camera.parameters[k] - initial.camera.parameters[k])
@@ -174,15 +194,17 @@ def _parameters(estimate: Estimate, initial: Calibration, matcher: Matcher) -> l
     return rows
 
 
-def _correlation(covariance: Floats) -> Floats:
+def _correlation(solution: Solution) -> Floats:
+    """Return (K, K), of the estimated parameters."""
+    covariance = solution.covariance[np.ix_(solution.free, solution.free)]
     sd = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(covariance / np.outer(sd, sd))
 
 
-def observability_sentence(estimate: Estimate, names: Sequence[str]) -> str:
+def observability_sentence(observed: Observability, names: Sequence[str]) -> str:
     """Say which combination of parameters the data determine worst."""
-    values, vectors = estimate.observed.singular_values, estimate.observed.singular_vectors
+    values, vectors = observed.singular_values, observed.singular_vectors
     if not values[-1] > 0:
         return "At least one combination of parameters is not observable at all."
     weak = [k for k in range(len(values)) if values[0] / values[k] > _WEAK]

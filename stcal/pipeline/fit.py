@@ -12,15 +12,18 @@ from numpy.typing import NDArray
 from stcal.calibration import Calibration
 from stcal.config import SensorConfig
 from stcal.errors import GateRefusalError, InputError
+from stcal.estimators.batch import covariance_from
 from stcal.execution import OrderedMap, serial
-from stcal.frames import FrameBatch
-from stcal.matching import Matcher
+from stcal.frames import FrameBatch, MatchedFrames
+from stcal.matching import Matcher, match
 from stcal.pipeline import describe
-from stcal.pipeline.cycles import Cycle
-from stcal.pipeline.estimate import estimate_camera
-from stcal.pipeline.gates import fit_refusals
+from stcal.pipeline.cycles import Cycle, run_cycles
+from stcal.pipeline.estimate import Estimate, Solution, estimate_of
+from stcal.pipeline.gates import batch_refusals
+from stcal.pipeline.parameters import embedded, estimated_indices, parameter_scale
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,7 @@ def fit_batch(
     matcher: Matcher,
     provenance: dict[str, Any],
     matches: str = "lost-in-space",
+    parameters: Sequence[str] | None = None,
     mapper: OrderedMap = serial,
     on_cycle: Callable[[Cycle], None] = lambda cycle: None,
 ) -> FitResult:
@@ -57,28 +61,76 @@ def fit_batch(
     matcher : catalogue and sensor configuration
     provenance : hashes and time span, stored in the calibration and the document
     matches : where the first cycle's matches come from, ``telemetry`` or a matching method
+    parameters : the parameters to estimate, all by default; the others keep their initial values
     mapper : ordered map over the fragments
     on_cycle : told about each finished cycle
     """
     batches = [batch for batch in batches if batch.n_frames]
     check_calibration(initial, matcher.config, batches[0].sensor_id)
-    estimate = estimate_camera(batches, initial, matcher, matches, mapper, on_cycle)
-    refusals = fit_refusals(estimate, batches, initial, matcher.config)
-    document = describe.fit_document(
-        estimate, batches, initial, matcher, refusals, provenance, matches
+    free = estimated_indices(parameters, initial.camera.parameter_names)
+    cycles, settled = run_cycles(batches, initial, matcher, matches, free, mapper, on_cycle)
+    baseline = _baseline(batches, initial, matcher, cycles[0], mapper)
+    solution = _solution(cycles[-1], matcher.config, free)
+    estimate = estimate_of(solution, initial, baseline, matcher, mapper)
+    refusals = batch_refusals(estimate, cycles, settled, initial, matcher.config)
+    document = describe.batch_document(
+        estimate, cycles, settled, batches, initial, matcher, refusals, provenance, matches
     )
-    calibration = None
-    if not refusals and estimate.alignment is not None:
-        calibration = replace(
-            initial,
-            serial=initial.serial + 1,
-            camera=estimate.last.camera,
-            c_sd=estimate.alignment.c_sd,
-            covariance=estimate.covariance,
-            provenance=provenance,
-            quality=describe.quality(document),
-        )
-    return FitResult(calibration, document)
+    return FitResult(fitted_calibration(estimate, initial, document), document)
+
+
+def fitted_calibration(
+    estimate: Estimate, initial: Calibration, document: dict[str, Any]
+) -> Calibration | None:
+    """Return the calibration file of a fit, None when a gate refused it."""
+    if not document["verdict"]["accepted"] or estimate.alignment is None:
+        return None
+    return replace(
+        initial,
+        serial=initial.serial + 1,
+        camera=estimate.solution.camera,
+        c_sd=estimate.alignment.c_sd,
+        covariance=estimate.solution.covariance,
+        provenance=document["provenance"],
+        quality=describe.quality(document),
+    )
+
+
+def _solution(cycle: Cycle, config: SensorConfig, free: Ints) -> Solution:
+    """Return the last cycle as a solution; the noise that the residuals show scales its sd."""
+    scale = parameter_scale(config, cycle.camera.parameter_names)[free]
+    try:
+        covariance = covariance_from(cycle.solution.information)
+    except np.linalg.LinAlgError:
+        covariance = np.full((len(free), len(free)), np.nan)
+    covariance = covariance * np.outer(scale, scale) * cycle.noise_scale**2
+    return Solution(
+        matched=cycle.matched,
+        bound=cycle.bound,
+        camera=cycle.camera,
+        free=free,
+        information=cycle.solution.information,
+        covariance=embedded(covariance, free, len(cycle.camera.parameters)),
+        noise_scale=cycle.noise_scale,
+        rejected=cycle.rejected,
+    )
+
+
+def _baseline(
+    batches: Sequence[FrameBatch],
+    initial: Calibration,
+    matcher: Matcher,
+    first: Cycle,
+    mapper: OrderedMap,
+) -> list[MatchedFrames]:
+    """Return the frames as the initial calibration identifies them.
+
+    Telemetered matches are the sensor's own; they are identified anew, so that before and after
+    come from the same matcher.
+    """
+    if first.matching != "telemetry":
+        return first.matched
+    return list(mapper(lambda b: match(b, initial.camera, initial.c_sd, matcher), batches))
 
 
 def check_calibration(calibration: Calibration, config: SensorConfig, sensor_id: str) -> None:

@@ -9,33 +9,86 @@ import numpy as np
 from stcal.calibration import Calibration
 from stcal.config import Fit, SensorConfig
 from stcal.constants import URAD
-from stcal.frames import FrameBatch
-from stcal.pipeline.estimate import Estimate
+from stcal.pipeline.cycles import Cycle
+from stcal.pipeline.estimate import Estimate, Solution
+from stcal.pipeline.filter_run import EVENTS, Run
 
 # A matched set that still moves the parameters by more than this is no fit.
 _UNSETTLED_SD = 1.0
 _RMS_MARGIN = 1.01
+# A filter that has not halved a parameter's sd has seen nothing of it.
+_LEARNED = 0.5
 
 
-def fit_refusals(
-    estimate: Estimate, batches: Sequence[FrameBatch], initial: Calibration, config: SensorConfig
+def batch_refusals(
+    estimate: Estimate,
+    cycles: Sequence[Cycle],
+    settled: bool,
+    initial: Calibration,
+    config: SensorConfig,
 ) -> list[str]:
-    """Return the reasons to refuse, empty when the fit may be trusted."""
-    gates = config.fit
-    reasons = _too_little(estimate, gates)
+    """Return the reasons to refuse a batch fit, empty when it may be trusted."""
+    unsettled = _not_converged(estimate, cycles, settled)
+    return refusals(estimate, unsettled, initial, config)
+
+
+def sequential_refusals(
+    estimate: Estimate, run: Run, initial: Calibration, config: SensorConfig
+) -> list[str]:
+    """Return the reasons to refuse a sequential fit, empty when it may be trusted."""
+    return refusals(estimate, _watched(run, config) + _unconverged(run), initial, config)
+
+
+def _watched(run: Run, config: SensorConfig) -> list[str]:
+    """Return what the watch over the filter has to say."""
+    history, most = run.history, config.sequential.maximum_fallbacks
+    events = np.flatnonzero(history.event)
+    reasons = []
+    if len(events) > most:
+        named = ", ".join(
+            f"{EVENTS[history.event[f]]} at frame {history.frame_id[f]}" for f in events[:5]
+        )
+        reasons.append(
+            f"the estimate fell back to the baseline {len(events)} times, at most {most} allowed: "
+            f"{named}{', ...' if len(events) > 5 else ''}"
+        )
+    if history.on_baseline[-1]:
+        reasons.append(
+            "the estimate fell back to the baseline and had not proven itself again by the end"
+        )
+    return reasons
+
+
+def _unconverged(run: Run) -> list[str]:
+    """Return the parameters about which the filter has learned next to nothing."""
+    start = np.sqrt(np.diag(run.filter.covariance(run.filter.start)))
+    now = np.sqrt(np.diag(run.filter.covariance(run.state)))
+    weak = [
+        f"{run.filter.names[k]} ({now[k]:.1f} of {start[k]:.1f} sigma)"
+        for k in run.filter.constants
+        if not now[k] < _LEARNED * start[k]
+    ]
+    return [f"not converged: the sd is still near its start for {', '.join(weak)}"] if weak else []
+
+
+def refusals(
+    estimate: Estimate, unsettled: list[str], initial: Calibration, config: SensorConfig
+) -> list[str]:
+    """Return the reasons to refuse an estimate; ``unsettled`` are those of its estimator."""
+    reasons = _too_little(estimate, config.fit)
     if reasons:
         return reasons
     return [
-        *_not_converged(estimate),
-        *_degenerate(estimate, gates),
+        *unsettled,
+        *_degenerate(estimate, config.fit),
         *_implausible(estimate, initial, config),
     ]
 
 
 def _too_little(estimate: Estimate, gates: Fit) -> list[str]:
-    last = estimate.last
-    frames = sum(int(m.frame_solved.sum()) for m in last.matched)
-    stars = sum(len(b.selection.star) for b in last.bound)
+    solution = estimate.solution
+    frames = sum(int(m.frame_solved.sum()) for m in solution.matched)
+    stars = sum(len(b.selection.star) for b in solution.bound)
     reasons = []
     if frames < gates.minimum_frames:
         reasons.append(f"{frames} frames identified, at least {gates.minimum_frames} needed")
@@ -46,28 +99,38 @@ def _too_little(estimate: Estimate, gates: Fit) -> list[str]:
             f"stars cover {estimate.coverage:.0%} of the detector, at least "
             f"{gates.minimum_coverage:.0%} needed"
         )
-    if last.solution.information.rows <= len(last.camera.parameters):
+    if solution.information.rows <= len(solution.free):
         reasons.append(
-            f"{last.solution.information.rows} independent arclengths for "
-            f"{len(last.camera.parameters)} parameters"
+            f"{solution.information.rows} independent arclengths for "
+            f"{len(solution.free)} parameters"
         )
     return reasons
 
 
-def _not_converged(estimate: Estimate) -> list[str]:
-    last = estimate.last
+def _not_converged(estimate: Estimate, cycles: Sequence[Cycle], settled: bool) -> list[str]:
+    last = cycles[-1]
     reasons = []
     if not last.solution.converged:
         reasons.append(
             f"the estimator did not converge in {last.solution.iterations} accepted steps"
         )
-    if not estimate.settled and estimate.change_in_last_cycle_sd > _UNSETTLED_SD:
+    moved = change_in_last_cycle_sd(cycles, estimate.solution)
+    if not settled and moved > _UNSETTLED_SD:
         reasons.append(
-            f"the matched set did not settle in {len(estimate.cycles)} cycles: the last one "
-            f"changed {last.changed} matches and moved a parameter by "
-            f"{estimate.change_in_last_cycle_sd:.1f} sd"
+            f"the matched set did not settle in {len(cycles)} cycles: the last one "
+            f"changed {last.changed} matches and moved a parameter by {moved:.1f} sd"
         )
     return reasons
+
+
+def change_in_last_cycle_sd(cycles: Sequence[Cycle], solution: Solution) -> float:
+    """Largest change of a parameter by the last cycle, in sd; infinite after one cycle."""
+    if len(cycles) < 2:
+        return float("inf")
+    before, after = (c.camera.parameters[solution.free] for c in cycles[-2:])
+    sd = np.sqrt(np.diag(solution.covariance))[solution.free]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(np.max(np.abs(after - before) / sd))
 
 
 def _degenerate(estimate: Estimate, gates: Fit) -> list[str]:
@@ -78,13 +141,13 @@ def _degenerate(estimate: Estimate, gates: Fit) -> list[str]:
             f"degenerate: condition number {condition:.3g} after scaling, at most "
             f"{gates.maximum_condition:.3g} allowed"
         )
-    if not np.isfinite(estimate.covariance).all():
+    if not np.isfinite(estimate.solution.covariance).all():
         reasons.append("degenerate: a parameter is not observable at all")
     return reasons
 
 
 def _implausible(estimate: Estimate, initial: Calibration, config: SensorConfig) -> list[str]:
-    gates, camera = config.fit, estimate.last.camera
+    gates, camera = config.fit, estimate.solution.camera
     reasons = []
     for name, new, old in zip(
         camera.parameter_names, camera.parameters, initial.camera.parameters, strict=True
@@ -94,9 +157,9 @@ def _implausible(estimate: Estimate, initial: Calibration, config: SensorConfig)
             reasons.append(
                 f"{name} moved by {moved:.1f} sigma, at most {gates.maximum_change_sigma:g} allowed"
             )
-    if not estimate.last.noise_scale <= gates.maximum_noise_scale:
+    if not estimate.solution.noise_scale <= gates.maximum_noise_scale:
         reasons.append(
-            f"residuals are {estimate.last.noise_scale:.1f} times the noise model, at most "
+            f"residuals are {estimate.solution.noise_scale:.1f} times the noise model, at most "
             f"{gates.maximum_noise_scale:g} allowed"
         )
     # The fit minimises the weighted sum of squares: the plain RMS may rise a little.

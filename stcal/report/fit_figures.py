@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stcal.report.content import quotient
-from stcal.report.document import Document, Floats, matrix, numbers, sections, text
+from stcal.report.document import Document, Floats, matrix, numbers, sections, sequence, text
 from stcal.report.format import fixed, significant
 from stcal.report.svg import AFTER, FAINT, NEUTRAL, draw, start_axes
 from stcal.units import unit_of
@@ -177,4 +177,5 @@ def _cycle_panels(
 
 
 def _symbols(document: Document) -> list[str]:
-    return [unit_of(text(p.get("name"))).symbol for p in sections(document.get("parameters"))]
+    """Return the symbols of the estimated parameters."""
+    return [unit_of(text(name)).symbol for name in sequence(document.get("estimated_parameters"))]

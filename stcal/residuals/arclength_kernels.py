@@ -18,31 +18,38 @@ _DEPENDENT = 1e-3
 
 
 @kernel
-def _length(a, b):
-    x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
-    return math.sqrt(x * x + y * y + z * z)
+def distance2(s, i, j):
+    """Square of the chord between rows i and j of unit vectors (K, 3).
+
+    Stars are named by their rows: to make a view of each would cost more than the arithmetic.
+    """
+    x, y, z = s[i, 0] - s[j, 0], s[i, 1] - s[j, 1], s[i, 2] - s[j, 2]
+    return x * x + y * y + z * z
 
 
 @kernel
-def flatness(a, b, c):
-    """Sine of the smallest angle of a triangle of stars: 0 for collinear ones, and for needles."""
-    volume = abs(
-        a[0] * (b[1] * c[2] - b[2] * c[1])
-        + a[1] * (b[2] * c[0] - b[0] * c[2])
-        + a[2] * (b[0] * c[1] - b[1] * c[0])
+def flatness2(s, i, j, k):
+    """Square of the sine of a triangle's smallest angle: 0 for collinear stars, and for needles."""
+    volume = (
+        s[i, 0] * (s[j, 1] * s[k, 2] - s[j, 2] * s[k, 1])
+        + s[i, 1] * (s[j, 2] * s[k, 0] - s[j, 0] * s[k, 2])
+        + s[i, 2] * (s[j, 0] * s[k, 1] - s[j, 1] * s[k, 0])
     )
-    p, q, r = _length(a, b), _length(b, c), _length(a, c)
+    p, q, r = distance2(s, i, j), distance2(s, j, k), distance2(s, i, k)
     shortest = min(p, q, r)
-    return volume * shortest / (p * q * r) if shortest > 0.0 else 0.0
+    return volume * volume * shortest / (p * q * r) if shortest > 0.0 else 0.0
 
 
 @kernel
-def _worst_triple(s, order):
+def _flattest(s, order, floor):
+    """Return the flattest triple's squared sine and its place; any below ``floor`` will do."""
     worst, where = 2.0, 0
     for k in range(order.shape[0] - 2):
-        q = flatness(s[order[k]], s[order[k + 1]], s[order[k + 2]])
+        q = flatness2(s, order[k], order[k + 1], order[k + 2])
         if q < worst:
             worst, where = q, k
+            if worst <= floor:
+                break
     return worst, where
 
 
@@ -53,26 +60,26 @@ def _order_one(s, order):
     for k in range(2, n - 1):
         best, pick = -1.0, k
         for j in range(k, n):
-            q = flatness(s[order[k - 2]], s[order[k - 1]], s[order[j]])
+            q = flatness2(s, order[k - 2], order[k - 1], order[j])
             if q > best:
                 best, pick = q, j
         order[k], order[pick] = order[pick], order[k]
-    worst, where = _worst_triple(s, order)
+    worst, where = _flattest(s, order, 0.0)
     for _ in range(n):
-        if worst >= _FLAT:
+        if worst >= _FLAT * _FLAT:
             break
         better, at, other = worst, -1, -1
         for i in range(where, where + 3):
             for j in range(n):
                 order[i], order[j] = order[j], order[i]
-                now, _ = _worst_triple(s, order)
+                now, _ = _flattest(s, order, better)
                 if now > better:
                     better, at, other = now, i, j
                 order[i], order[j] = order[j], order[i]
         if at < 0:
             break
         order[at], order[other] = order[other], order[at]
-        worst, where = _worst_triple(s, order)
+        worst, where = _flattest(s, order, 0.0)
 
 
 @kernel
@@ -89,12 +96,12 @@ def order_stars(offsets, s_i, order):
 
 
 @kernel
-def _tangent(a, b, out):
-    """Unit tangent at ``a`` towards ``b``."""
-    d = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-    x, y, z = b[0] - d * a[0], b[1] - d * a[1], b[2] - d * a[2]
-    norm = math.sqrt(x * x + y * y + z * z)
-    out[0], out[1], out[2] = x / norm, y / norm, z / norm
+def _tangent(s, i, j, out, row, side):
+    """Write the unit tangent at star i towards star j to ``out[row, side]``."""
+    d = s[i, 0] * s[j, 0] + s[i, 1] * s[j, 1] + s[i, 2] * s[j, 2]
+    x, y, z = s[j, 0] - d * s[i, 0], s[j, 1] - d * s[i, 1], s[j, 2] - d * s[i, 2]
+    scale = 1.0 / math.sqrt(x * x + y * y + z * z)
+    out[row, side, 0], out[row, side, 1], out[row, side, 2] = scale * x, scale * y, scale * z
 
 
 @kernel
@@ -106,7 +113,8 @@ def factor(offsets, s_i, order, sd, pair_i, pair_j, lower):
     product of the tangents at the shared star.  The diagonal is infinite for a dependent arc,
     which drops out.  Returns the number of dependent arcs.
     """
-    here, there = np.empty(3), np.empty(3)
+    # Unit tangents of each arc at its two stars, towards the other one.
+    tangent = np.empty((pair_i.shape[0], 2, 3))
     dropped = 0
     row = 0
     for x in range(offsets.shape[0] - 1):
@@ -116,14 +124,15 @@ def factor(offsets, s_i, order, sd, pair_i, pair_j, lower):
             for step in range(1, 3):
                 if i + step >= last:
                     continue
-                pair_i[row], pair_j[row] = order[i], order[i + step]
-                for d in range(BAND + 1):
-                    other = row - d
+                a, b = order[i], order[i + step]
+                pair_i[row], pair_j[row] = a, b
+                _tangent(s_i, a, b, tangent, row, 0)
+                _tangent(s_i, b, a, tangent, row, 1)
+                lower[row, BAND] = sd[a] * sd[a] + sd[b] * sd[b]
+                for d in range(1, BAND + 1):
                     value = 0.0
-                    if d == 0:
-                        value = sd[pair_i[row]] ** 2 + sd[pair_j[row]] ** 2
-                    elif other >= start:
-                        value = _shared(s_i, sd, pair_i, pair_j, row, other, here, there)
+                    if row - d >= start:
+                        value = _shared(sd, pair_i, pair_j, tangent, row, row - d)
                     lower[row, BAND - d] = value
                 dropped += _cholesky_row(lower, row, start)
                 row += 1
@@ -131,18 +140,16 @@ def factor(offsets, s_i, order, sd, pair_i, pair_j, lower):
 
 
 @kernel
-def _shared(s_i, sd, pair_i, pair_j, row, other, here, there):
+def _shared(sd, pair_i, pair_j, tangent, row, other):
     """Covariance of two arcs, eq (17): zero unless they share a star."""
     for side in range(2):
         hub = pair_i[row] if side == 0 else pair_j[row]
-        end = pair_j[row] if side == 0 else pair_i[row]
         for back in range(2):
             if hub == (pair_i[other] if back == 0 else pair_j[other]):
-                far = pair_j[other] if back == 0 else pair_i[other]
-                _tangent(s_i[hub], s_i[end], here)
-                _tangent(s_i[hub], s_i[far], there)
-                cosine = here[0] * there[0] + here[1] * there[1] + here[2] * there[2]
-                return sd[hub] ** 2 * cosine
+                cosine = 0.0
+                for k in range(3):
+                    cosine += tangent[row, side, k] * tangent[other, back, k]
+                return sd[hub] * sd[hub] * cosine
     return 0.0
 
 
@@ -177,7 +184,7 @@ def whiten(pair_i, pair_j, lower, starts, arc_true, scale, slope, s_d, by_parame
     parameters = by_parameter.shape[2]
     for row in range(pair_i.shape[0]):
         i, j = pair_i[row], pair_j[row]
-        half = 0.5 * _length(s_d[i], s_d[j])
+        half = 0.5 * math.sqrt(distance2(s_d, i, j))
         arc = 2.0 * math.asin(min(1.0, half))
         sine = math.sin(arc)
         for p in range(parameters):

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from stcal.constants import DEG
 from stcal.simulate.orbit import Orbit, local_frame
-from stcal.simulate.scenario import CoarseHold, Mounting, NadirPointing, Segment, Slew
+from stcal.simulate.sections import CoarseHold, Mounting, NadirPointing, Segment, Slew
 
 Floats = NDArray[np.float64]
 

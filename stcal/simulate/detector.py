@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stcal.cameras import Camera
-from stcal.simulate.scenario import Detection, Intensity, Scenario, TrueNoise
+from stcal.simulate.scenario import Scenario
+from stcal.simulate.sections import Detection, Intensity, TrueNoise
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -73,7 +74,7 @@ def image(camera: Camera, s_d: Floats) -> tuple[Floats, Floats, Bools]:
     """Return (row, col, on the detector) of directions (K, 3).
 
     A direction counts only when its centroid leads back to it: outside the detector the inverse
-    of the map may find the image of something else.
+    of the map may find the image of something else.  The camera's parameters may be (P, K).
     """
     m, n = camera.project(s_d)
     inside = np.isfinite(m) & np.isfinite(n) & camera.contains(m, n)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from stcal.constants import DAY_S, DEG, EARTH_GM_M3_S2, EARTH_J2, EARTH_RADIUS_M
-from stcal.simulate.scenario import OrbitSection
+from stcal.simulate.sections import OrbitSection
 from stcal.times import julian_date_tt
 
 Floats = NDArray[np.float64]

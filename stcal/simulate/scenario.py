@@ -1,13 +1,27 @@
-"""The scenario of a simulation: what a scenario file may say, and what must hold across it."""
+"""The scenario of a simulation: its sections together, and what must hold across them."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
-from stcal.cameras import CAMERAS
-from stcal.config import Magnitude, SensorConfig
+from stcal.cameras import CAMERAS, Camera
+from stcal.config import SensorConfig
+from stcal.simulate.drift import extremes, parameters_at
+from stcal.simulate.sections import (
+    CameraTruth,
+    Detection,
+    Drift,
+    Intensity,
+    Mounting,
+    OrbitSection,
+    Part,
+    Section,
+    TelemetrySection,
+    TrueNoise,
+    Visibility,
+)
 from stcal.simulate.true_camera import cameras_of, is_one_to_one
 from stcal.times import parse_utc
 
@@ -17,192 +31,10 @@ PARTS = ("calibration", "validation")
 # The Earth's ephemeris ends with the year 2099.
 END_TAI_NS = parse_utc("2100-01-01T00:00:00Z")
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-# Far beyond any sensible value, and so small that no square or product of them overflows.
-Number = Annotated[float, Field(ge=-1e6, le=1e6)]
-Positive = Annotated[float, Field(ge=1e-6, le=1e6)]
-NotNegative = Annotated[float, Field(ge=0, le=1e6)]
-HalfTurn = Annotated[float, Field(ge=0, le=180)]
-Fraction = Annotated[float, Field(ge=0, le=1)]
-# Strict sections take no list for a tuple, but TOML has nothing else.
-Vector = Annotated[tuple[Number, Number, Number], Field(strict=False)]
+AnySection = TypeVar("AnySection", bound=Section)
 
 
-def _whole_ms(value: float) -> float:
-    if abs(value * 1e3 - round(value * 1e3)) > 1e-6:
-        raise ValueError("not a whole number of milliseconds, which is what telemetry can write")
-    return value
-
-
-def _not_zero(vector: tuple[float, float, float]) -> tuple[float, float, float]:
-    if max(map(abs, vector)) < 1e-6:
-        raise ValueError("is the zero vector")
-    return vector
-
-
-# A century fits; times beyond END_TAI_NS are refused for the scenario as a whole.
-Seconds = Annotated[float, Field(ge=0, le=3.2e9), AfterValidator(_whole_ms)]
-Period = Annotated[float, Field(gt=0, le=1e6), AfterValidator(_whole_ms)]
-Direction = Annotated[Vector, AfterValidator(_not_zero)]
-
-
-class _Section(BaseModel):
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, strict=True, arbitrary_types_allowed=True
-    )
-
-
-class OrbitSection(_Section):
-    """A circular orbit; the node by right ascension or by the mean local time of its ascent."""
-
-    altitude_km: Annotated[float, Field(gt=100, lt=100_000)]
-    inclination_deg: Annotated[float, Field(ge=0, le=180)]
-    raan_deg: Number | None = None
-    ltan_h: Annotated[float, Field(ge=0, lt=24)] | None = None
-    # Argument of latitude at the scenario's epoch.
-    phase_deg: Number = 0.0
-
-    @model_validator(mode="after")
-    def _one_node(self) -> OrbitSection:
-        if (self.raan_deg is None) == (self.ltan_h is None):
-            raise ValueError("give exactly one of raan_deg and ltan_h")
-        return self
-
-
-class Mounting(_Section):
-    """How the sensor sits in the spacecraft, and its detector in the sensor."""
-
-    # Direction of S's z axis in B; at roll 0 S's x axis lies towards B's x (y when that is along z)
-    boresight_b: Direction
-    roll_deg: Number = 0.0
-    # Rotation vectors of c_sd: as stored in the initial calibration, and the unknown change of it.
-    c_sd_rotvec_deg: Vector = (0.0, 0.0, 0.0)
-    c_sd_shift_urad: Vector = (0.0, 0.0, 0.0)
-
-
-class CameraTruth(_Section):
-    """The initial calibration (nominal unless given) and the true camera's departure from it."""
-
-    initial: dict[str, Finite] = {}
-    # In standard deviations of the configuration's camera.scale (Enright 2018 Table III).
-    offset_sigma: dict[str, Finite] = {}
-
-
-class _Motion(_Section):
-    frames: Annotated[int, Field(ge=1, le=1_000_000)]
-    # Slow wander about the motion: amplitude per axis, and the mean period of its waves.
-    wander_deg: HalfTurn = 0.0
-    wander_period_s: Positive = 600.0
-
-
-class NadirPointing(_Motion):
-    """B's z axis to nadir and x along the track, turned by an offset (x, then y, then z)."""
-
-    motion: Literal["nadir-pointing"]
-    offset_deg: Vector = (0.0, 0.0, 0.0)
-
-
-class Slew(_Motion):
-    """Constant rotation about an axis of B; continues the attitude before it unless aimed."""
-
-    motion: Literal["slew"]
-    rate_deg_s: Number
-    axis_b: Direction
-    # Right ascension, declination and position angle of S at the segment's start.
-    target_deg: Vector | None = None
-
-
-class CoarseHold(_Motion):
-    """An inertial attitude held coarsely: the wander is what the coarse control leaves."""
-
-    motion: Literal["coarse-hold"]
-    target_deg: Vector | None = None
-
-
-Segment = Annotated[NadirPointing | Slew | CoarseHold, Field(discriminator="motion")]
-
-
-class Part(_Section):
-    """One telemetry set: consecutive segments sampled at a constant period."""
-
-    # After the scenario's epoch.
-    start_s: Seconds = 0.0
-    sample_period_s: Period
-    first_frame_id: Annotated[int, Field(ge=0, le=10**15)] = 1
-    segments: Annotated[tuple[Segment, ...], Field(min_length=1, strict=False)]
-
-    @property
-    def frames(self) -> int:
-        """Number of frames of all segments."""
-        return sum(segment.frames for segment in self.segments)
-
-    @property
-    def last_s(self) -> float:
-        """Time of the last frame after the scenario's epoch when none is edited out."""
-        return self.start_s + (self.frames - 1) * self.sample_period_s
-
-    @model_validator(mode="after")
-    def _start(self) -> Part:
-        first = self.segments[0]
-        if not isinstance(first, NadirPointing) and first.target_deg is None:
-            raise ValueError("the first segment has no attitude before it and needs target_deg")
-        return self
-
-
-class Detection(_Section):
-    """Which catalogue stars become detections, and what else does."""
-
-    # Detection probability is 1/2 at the limit; logistic roll-off with this width in magnitudes.
-    limiting_magnitude: Magnitude
-    width_mag: Annotated[float, Field(ge=1e-6, le=10)]
-    maximum_stars: Annotated[int, Field(ge=1, le=100_000)] = 32
-    missing_probability: Fraction = 0.0
-    false_stars_per_exposure: Annotated[float, Field(ge=0, le=1000)] = 0.0
-    outlier_probability: Fraction = 0.0
-    # Gross centroid errors: one sigma per axis.
-    outlier_sd_px: NotNegative = 10.0
-    # Depth of the catalogue from which the sky is made.
-    sky_magnitude: Magnitude = 8.0
-
-
-class TrueNoise(_Section):
-    """Centroid noise: sqrt(sd_px^2 + reference / intensity * photon_sd_px^2) per axis."""
-
-    sd_px: NotNegative
-    photon_sd_px: NotNegative = 0.0
-    reference_intensity: Positive = 1000.0
-
-
-class Intensity(_Section):
-    """Counts of a star: 10^(0.4 (zero_point_mag - V)), with log-normal scatter."""
-
-    zero_point_mag: Annotated[float, Field(ge=-30, le=50)] = 14.0
-    scatter_mag: Annotated[float, Field(ge=0, le=10)] = 0.1
-
-
-class Visibility(_Section):
-    """When the view is bad: boresight nearer than these, the Earth's counted from its limb."""
-
-    earth_exclusion_deg: HalfTurn = 15.0
-    sun_exclusion_deg: HalfTurn = 45.0
-    moon_exclusion_deg: HalfTurn = 15.0
-    # Such frames, and those in eclipse, are edited out of the telemetry but for this share.
-    keep_flagged: Fraction = 0.0
-    # Stray light lifts the background: loss of limiting magnitude in intrusions.
-    intrusion_loss_mag: Annotated[float, Field(ge=0, le=50)] = 2.0
-
-
-class TelemetrySection(_Section):
-    """What the telemetry carries beside the stars."""
-
-    exposure_separation_s: Annotated[float, Field(gt=0, le=3600)] = 0.1
-    spacecraft_state: bool = True
-    rate_sd_deg_s: NotNegative = 0.02
-    temperature_c: Number = 20.0
-    temperature_swing_c: NotNegative = 4.0
-
-
-class Scenario(_Section):
+class Scenario(Section):
     """One sensor in orbit; ``sensor`` is the loaded sensor configuration."""
 
     schema_: Literal["stcal.scenario/1"] = Field(alias="schema", default="stcal.scenario/1")
@@ -231,8 +63,7 @@ class Scenario(_Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Scenario:
-        document: dict[str, Any] = {"sensor_id": self.sensor_id, "epoch": self.epoch}
-        document["camera"] = self.camera.model_dump()
+        document = dict(self) | {"camera": self.camera.model_dump()}
         problems = cross_problems(document, self.sensor) or self._late_parts()
         if problems:
             raise ValueError("; ".join(problems))
@@ -260,30 +91,69 @@ def cross_problems(document: dict[str, Any], sensor: SensorConfig) -> list[str]:
             parse_utc(epoch)
         except ValueError as error:
             problems.append(f"epoch: {error}")
-    camera = document.get("camera", {})
-    names = CAMERAS[sensor.camera.model].parameter_names
-    before = len(problems)
-    for key in ("initial", "offset_sigma"):
-        given = camera.get(key, {}) if isinstance(camera, dict) else {}
-        if isinstance(given, dict):
-            problems += [
-                f"camera.{key}.{name}: not a parameter of {sensor.camera.model}"
-                for name in given
-                if name not in names
-            ]
-    if len(problems) == before:
-        problems += _camera_problems(camera, sensor)
-    return problems
+    unknown = _unknown_parameters(document.get("camera"), sensor)
+    return problems + (unknown or _camera_problems(document, sensor))
 
 
-def _camera_problems(camera: Any, sensor: SensorConfig) -> list[str]:
-    try:
-        truth = CameraTruth.model_validate(camera)
-    except ValidationError:
-        return []  # told by the model's own validation
-    initial, true = cameras_of(truth.initial, truth.offset_sigma, sensor)
+def _unknown_parameters(camera: Any, sensor: SensorConfig) -> list[str]:
+    """Return what the tables of parameters name that the camera model doesn't have."""
+    tables = [(f"camera.{key}", _entry(camera, key)) for key in ("initial", "offset_sigma")]
+    drift = _entry(camera, "drift")
+    tables += [(f"camera.drift.{key}", _entry(drift, key)) for key in ("per_kelvin", "per_day")]
+    steps = _entry(drift, "steps")
+    for index, step in enumerate(steps if isinstance(steps, list | tuple) else ()):
+        table = _entry(step, "offset_sigma")
+        tables.append((f"camera.drift.steps.{index}.offset_sigma", table))
     return [
-        f"camera: the {name} camera's map is not one-to-one over the detector"
-        for name, one in (("initial", initial), ("true", true))
-        if not is_one_to_one(one)
+        f"{place}.{name}: not a parameter of {sensor.camera.model}"
+        for place, table in tables
+        if isinstance(table, dict)
+        for name in table
+        if name not in CAMERAS[sensor.camera.model].parameter_names
     ]
+
+
+def _entry(table: Any, key: str) -> Any:
+    """Return an entry of what may not be a table: pydantic tells of that."""
+    return table.get(key) if isinstance(table, dict) else None
+
+
+def _camera_problems(document: dict[str, Any], sensor: SensorConfig) -> list[str]:
+    truth = _valid(CameraTruth, document.get("camera", {}))
+    if truth is None:
+        return []
+    cameras = cameras_of(truth.initial, truth.offset_sigma, sensor)
+    problems = [
+        f"camera: the {name} camera's map is not one-to-one over the detector"
+        for name, camera in zip(("initial", "true"), cameras, strict=True)
+        if not is_one_to_one(camera)
+    ]
+    telemetry = _valid(TelemetrySection, document.get("telemetry", {}))
+    if problems or telemetry is None or truth.drift == Drift():
+        return problems
+    parts = (_valid(Part, document.get(name)) for name in PARTS)
+    last_s = max((part.last_s for part in parts if part is not None), default=0.0)
+    return _drift_problems(cameras[1], truth.drift, sensor, telemetry, last_s)
+
+
+def _drift_problems(
+    true: Camera, drift: Drift, sensor: SensorConfig, telemetry: TelemetrySection, last_s: float
+) -> list[str]:
+    """Return the first state of the drifting camera in which it would fold its map."""
+    t_s, warmth = extremes(drift, telemetry.temperature_swing_c, last_s)
+    parameters = parameters_at(true, drift, sensor, t_s, warmth)
+    for row, seconds, kelvin in zip(parameters, t_s, warmth, strict=True):
+        if not is_one_to_one(true.with_parameters(row)):
+            return [
+                "camera.drift: the true camera's map is not one-to-one over the detector "
+                f"{seconds:g} s after the epoch at {telemetry.temperature_c + kelvin:g} deg C"
+            ]
+    return []
+
+
+def _valid(section: type[AnySection], table: Any) -> AnySection | None:
+    """Return a section by itself, None where it is wrong: pydantic tells of that."""
+    try:
+        return section.model_validate(table)
+    except ValidationError:
+        return None

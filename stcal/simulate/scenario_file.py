@@ -73,6 +73,7 @@ def scenario_with(scenario: Scenario, **changes: Any) -> Scenario:
     document["sensor"] = scenario.sensor
     for part in PARTS:
         document[part]["segments"] = list(document[part]["segments"])
+    document["camera"]["drift"]["steps"] = list(document["camera"]["drift"]["steps"])
     for key, value in changes.items():
         *steps, last = key.split("__")
         place: Any = document

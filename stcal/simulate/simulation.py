@@ -15,6 +15,7 @@ from stcal.constants import DEG, EXPOSURES_PER_FRAME
 from stcal.frames import FrameBatch, concatenate
 from stcal.simulate import detector
 from stcal.simulate.attitude import mounting_rotation
+from stcal.simulate.drift import parameters_at, warmth_at
 from stcal.simulate.onboard import onboard
 from stcal.simulate.orbit import state
 from stcal.simulate.scenario import PARTS, Scenario
@@ -40,6 +41,7 @@ class Truth:
     q_si : (E, 4) true attitude of S relative to I, scalar last
     rate_deg_s : (F, 3) true body rates in S at exposure 0
     pos_km, vel_km_s : (F, 3) true state of the spacecraft at exposure 0
+    parameters : (F, P) of the true camera, the same in both exposures
     star_id : (S,) code of the star that made the detection, 0 for a false star
     sd_px : (S,) centroid noise per axis, NaN for a false star
     outlier : (S,) bool, gross centroid error
@@ -49,6 +51,7 @@ class Truth:
     rate_deg_s: Floats
     pos_km: Floats
     vel_km_s: Floats
+    parameters: Floats
     star_id: Ints
     sd_px: Floats
     outlier: NDArray[np.bool_]
@@ -64,7 +67,10 @@ class SimulatedPart:
 
 @dataclass(frozen=True)
 class Simulation:
-    """A simulated sensor: both calibrations, and both telemetry sets."""
+    """A simulated sensor: both calibrations, and both telemetry sets.
+
+    ``true`` has the camera without drift: at the scenario's epoch and telemetry.temperature_c.
+    """
 
     scenario: Scenario
     seed: int
@@ -109,18 +115,22 @@ def simulate_chunk(world: World, chunk: int) -> SimulatedPart:
     q_si, rate = _sensor_attitudes(world, rows)
     t_s = world.timeline.t_s[rows]
     pos_km, vel_km_s = state(world.orbit, t_s)
-    found = _detections(world, rows, q_si, rng)
+    warmth = warmth_at(world.scenario.telemetry.temperature_swing_c, world.orbit, t_s)
+    drift, sensor = world.scenario.camera.drift, world.scenario.sensor
+    parameters = parameters_at(world.true.camera, drift, sensor, t_s, warmth)
+    found = _detections(world, rows, q_si, parameters, rng)
     codes = world.sky.catalogue.star_id
     truth = Truth(
         q_si=q_si,
         rate_deg_s=rate,
         pos_km=pos_km,
         vel_km_s=vel_km_s,
+        parameters=parameters,
         star_id=np.where(found.star >= 0, codes[np.maximum(found.star, 0)], 0),
         sd_px=found.sd_px,
         outlier=found.outlier,
     )
-    frames = _telemetry(world, rows, truth, found, rng)
+    frames = _telemetry(world, rows, truth, warmth, found, rng)
     return SimulatedPart(onboard(frames, world.initial, world.matcher), truth)
 
 
@@ -136,13 +146,13 @@ def _sensor_attitudes(world: World, rows: slice) -> tuple[Floats, Floats]:
 
 
 def _detections(
-    world: World, rows: slice, q_si: Floats, rng: np.random.Generator
+    world: World, rows: slice, q_si: Floats, parameters: Floats, rng: np.random.Generator
 ) -> detector.Detections:
-    """Return the detections of the exposures with true attitudes q_si (E, 4)."""
+    """Return the detections of exposures: true attitudes q_si (E, 4), true cameras (F, P)."""
     scenario, camera = world.scenario, world.true.camera
     c_si = np.swapaxes(Rotation.from_quat(q_si).as_matrix(), 1, 2)
     c_di = world.true.c_sd.T @ c_si
-    middle, radius = field_of_view(camera)
+    middle, radius = field_of_view(camera, parameters)
     exposure, star = stars_in_cones(world.sky, np.swapaxes(c_di, 1, 2) @ middle, radius)
 
     intruded = np.repeat(world.timeline.intrusion[rows], EXPOSURES_PER_FRAME)
@@ -157,7 +167,8 @@ def _detections(
     t_s = t_s.ravel()
     t_tai_ns = tai_ns(scenario.epoch_tai_ns, t_s)
     s_i = places(world.sky, star, exposure, t_tai_ns, *state(world.orbit, t_s))
-    m, n, inside = detector.image(camera, np.einsum("kij,kj->ki", c_di[exposure], s_i))
+    drifting = camera.with_parameters(parameters[exposure // EXPOSURES_PER_FRAME].T)
+    m, n, inside = detector.image(drifting, np.einsum("kij,kj->ki", c_di[exposure], s_i))
     seen = detector.Images(exposure[inside], star[inside], magnitude[inside], m[inside], n[inside])
     return detector.detect(seen, len(q_si), camera, scenario, rng)
 
@@ -166,6 +177,7 @@ def _telemetry(
     world: World,
     rows: slice,
     truth: Truth,
+    warmth: Floats,
     found: detector.Detections,
     rng: np.random.Generator,
 ) -> FrameBatch:
@@ -176,8 +188,8 @@ def _telemetry(
     t_s = timeline.t_s[rows]
     count = len(t_s)
     rate = truth.rate_deg_s + options.rate_sd_deg_s * rng.normal(size=(count, 3))
-    wave = np.sin(2.0 * np.pi * t_s / world.orbit.nodal_period_s)
-    temperature = options.temperature_c + options.temperature_swing_c * wave
+    temperature = options.temperature_c + warmth
+    temperature += options.temperature_sd_c * rng.normal(size=count)
     unknown = np.full((count, 3), np.nan)
     per_exposure = np.bincount(found.exposure, minlength=EXPOSURES_PER_FRAME * count)
     return FrameBatch(

@@ -12,7 +12,8 @@ from stcal.constants import DEG, EARTH_RADIUS_M
 from stcal.errors import ConfigError
 from stcal.simulate.attitude import Motion, attitude_at, draw_wander, motion_of, mounting_rotation
 from stcal.simulate.orbit import Orbit, in_shadow, state, sun_and_moon
-from stcal.simulate.scenario import END_TAI_NS, Part, Scenario, Visibility
+from stcal.simulate.scenario import END_TAI_NS, Scenario
+from stcal.simulate.sections import Part, Visibility
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]

@@ -25,11 +25,15 @@ def cameras_of(
     and III).
     """
     model, detector, scale = CAMERAS[sensor.camera.model], sensor.detector, sensor.camera.scale
-    names = model.parameter_names
-    values = np.array([initial.get(name, scale[name].nominal) for name in names])
-    offset = np.array([offset_sigma.get(name, 0.0) * scale[name].sigma for name in names])
+    values = np.array([initial.get(name, scale[name].nominal) for name in model.parameter_names])
     camera = Camera(model, detector.rows, detector.cols, detector.pixel_size_m, values)
-    return camera, camera.with_parameters(values + offset)
+    return camera, camera.with_parameters(values + offset_of(offset_sigma, sensor))
+
+
+def offset_of(offset_sigma: Mapping[str, float], sensor: SensorConfig) -> Floats:
+    """Return offsets (P,) of the parameters, from standard deviations of the sensor's scale."""
+    scale, names = sensor.camera.scale, CAMERAS[sensor.camera.model].parameter_names
+    return np.array([offset_sigma.get(name, 0.0) * scale[name].sigma for name in names])
 
 
 def is_one_to_one(camera: Camera) -> bool:
@@ -52,16 +56,29 @@ def is_one_to_one(camera: Camera) -> bool:
     return bool(np.all(least > 0))
 
 
-def field_of_view(camera: Camera) -> tuple[Floats, float]:
-    """Return (direction of the detector's middle in D, radius [rad] of the cone of its edge)."""
+def field_of_view(camera: Camera, parameters: Floats) -> tuple[Floats, float]:
+    """Return (direction of the detector's middle in D, radius [rad] of the cone of its edge).
+
+    The middle is that of ``camera``; the cone holds the edge as cameras with any of the
+    ``parameters`` (K, P) see it.
+    """
     middle = camera.directions(
         np.array([0.5 * (camera.rows - 1)]), np.array([0.5 * (camera.cols - 1)])
     )[0]
+    m, n = _edge(camera)
+    # Most cameras don't drift, and steps are few.
+    distinct = np.unique(parameters, axis=0)
+    drifting = camera.with_parameters(np.repeat(distinct, len(m), axis=0).T)
+    edge = drifting.directions(np.tile(m, len(distinct)), np.tile(n, len(distinct)))
+    return middle, float(np.arccos(np.clip((edge @ middle).min(), -1.0, 1.0)))
+
+
+def _edge(camera: Camera) -> tuple[Floats, Floats]:
+    """Return centroids (m, n) along the rim of the detector."""
     step = np.linspace(-0.5, 1.0, _GRID)
     rows = np.clip(step * camera.rows, -0.5, camera.rows - 0.5)
     cols = np.clip(step * camera.cols, -0.5, camera.cols - 0.5)
     low, high = np.full(_GRID, -0.5), np.full(_GRID, 1.0)
     m = np.concatenate([rows, rows, low, high * (camera.rows - 0.5)])
     n = np.concatenate([low, high * (camera.cols - 0.5), cols, cols])
-    cosine = camera.directions(m, n) @ middle
-    return middle, float(np.arccos(np.clip(cosine.min(), -1.0, 1.0)))
+    return m, n

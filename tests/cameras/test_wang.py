@@ -99,7 +99,7 @@ def test_axes_follow_rows_and_columns():
     assert s[0, 1] == 0
     assert s[1, 1] > 0
     assert s[1, 0] == 0
-    assert ray(NOMINAL, 2.2e-6, np.array([5.0]), np.array([5.0]))[0, 2] == 0.016
+    assert ray(NOMINAL, 2.2e-6, np.array([5.0]), np.array([5.0]))[2] == 0.016
 
 
 def test_noise_scale_slopes_are_its_derivatives(st16_camera):

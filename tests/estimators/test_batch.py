@@ -35,7 +35,7 @@ def test_agrees_with_scipys_least_squares(problem):
         return np.concatenate([b.linearise(camera)[:, -1] for b in bounds])
 
     peer = least_squares(residuals, np.zeros(8), method="lm", xtol=1e-14, ftol=1e-14)
-    ours = solve(bounds, start, SIGMA, serial)
+    ours = solve(bounds, start, SIGMA, np.arange(8), serial)
     assert ours.converged
     assert ours.chi2 == pytest.approx(2 * peer.cost, rel=1e-9)
     sd = np.sqrt(np.diag(covariance_from(ours.information)))
@@ -49,8 +49,8 @@ def test_agrees_with_scipys_least_squares(problem):
 def test_the_answer_does_not_depend_on_the_workers(problem):
     data, bounds = problem
     with scheduler(3) as threads:
-        parallel = solve(bounds, data.initial.camera, SIGMA, threads)
-    alone = solve(bounds, data.initial.camera, SIGMA, serial)
+        parallel = solve(bounds, data.initial.camera, SIGMA, np.arange(8), threads)
+    alone = solve(bounds, data.initial.camera, SIGMA, np.arange(8), serial)
     assert np.array_equal(parallel.parameters, alone.parameters)
     assert np.array_equal(parallel.information.factor, alone.information.factor)
 

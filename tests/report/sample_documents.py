@@ -48,6 +48,7 @@ def fit_document(frames: int = 120, seed: int = 1) -> dict[str, Any]:
         "cycles": [_cycle(k) for k in range(1, 4)],
         "settled": True,
         "parameters": [_parameter(*p) for p in PARAMETERS],
+        "estimated_parameters": [p[0] for p in PARAMETERS],
         "covariance": (correlation * np.outer(sd, sd)).tolist(),
         "correlation": correlation.tolist(),
         "condition": {"raw": 3.2e14, "scaled": float(values[0] / values[-1])},

@@ -13,7 +13,7 @@ from stcal.simulate.orbit import (
     state,
     sun_and_moon,
 )
-from stcal.simulate.scenario import OrbitSection
+from stcal.simulate.sections import OrbitSection
 from stcal.times import julian_date_tt, parse_utc
 
 EPOCH = parse_utc("2014-02-10T06:00:00Z")

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from stcal.constants import DEG
 from stcal.simulate import attitude
 from stcal.simulate.orbit import orbit_from, state
-from stcal.simulate.scenario import CoarseHold, Mounting, NadirPointing, OrbitSection, Slew
+from stcal.simulate.sections import CoarseHold, Mounting, NadirPointing, OrbitSection, Slew
 from stcal.times import parse_utc
 
 ORBIT = orbit_from(

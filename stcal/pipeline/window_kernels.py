@@ -1,0 +1,109 @@
+"""The window of latest frames, which are linearised anew when the state has moved far (numba).
+
+A filter that linearises each frame once learns from its first, poor linearisations what isn't true
+along the weak directions, and never forgets it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stcal.cameras.noise_kernels import slope_table
+from stcal.jit import kernel
+from stcal.pipeline.measurement_kernels import camera_of, update_by_frame
+from stcal.pipeline.watch_kernels import noise_scale
+
+# A state that moved further than this (in units of its scale) since the window was linearised is
+# linearised anew.
+_RELINEARISE = 0.1
+_ITERATIONS = 10
+
+
+@kernel
+def keep(f, telemetry, star, s_i, c_di, kept):
+    """Put the matched stars of frame ``f`` in the window and return its slot."""
+    slot = (kept.place[0] + kept.place[1]) % kept.facts.shape[0]
+    kept.place[1] += 1
+    first = telemetry.offsets[2 * f]
+    count = 0
+    for e in range(2):
+        before = count
+        for k in range(telemetry.offsets[2 * f + e], telemetry.offsets[2 * f + e + 1]):
+            if star[k - first] >= 0:
+                kept.star[slot, count, 0] = telemetry.row_px[k]
+                kept.star[slot, count, 1] = telemetry.col_px[k]
+                kept.star[slot, count, 2:5] = s_i[k - first]
+                kept.star[slot, count, 5] = telemetry.sd_px[k]
+                count += 1
+        kept.facts[slot, e] = count - before
+        # An exposure without matches has no attitude.
+        if count > before:
+            kept.c_di[slot, e] = c_di[e]
+        else:
+            kept.c_di[slot, e] = 0.0
+    kept.star[slot, count:] = 0.0
+    kept.facts[slot, 2], kept.facts[slot, 3] = telemetry.warmth[f], telemetry.gap[f]
+    return slot
+
+
+@kernel
+def note(kept, slot, x, root):
+    """Note the state after a kept frame."""
+    kept.after[slot, 0], kept.after[slot, 1:] = x, root
+
+
+@kernel
+def _advance(functions, model, rules, kept, slot, at, x, root, covariance, scale):
+    """Bring a state from before a kept frame to after it, linearised at ``at``."""
+    camera, update, predict = functions
+    if kept.facts[slot, 3] > 0.0:
+        predict(root, model.noise_sd * (kept.facts[slot, 3] / scale))
+    innovation, score = np.empty(2 * kept.star.shape[1]), np.empty(2)
+    update_by_frame(
+        camera, update, model, rules, kept, slot, at, x, root, covariance, scale, innovation, score
+    )
+    note(kept, slot, x, root)
+
+
+@kernel
+def drop_oldest(state, kept):
+    """Take the oldest frame out of the window, into the state before it."""
+    oldest = kept.place[0]
+    state.base_x[:], state.base_root[:, :] = kept.after[oldest, 0], kept.after[oldest, 1:]
+    kept.place[0] = (oldest + 1) % kept.facts.shape[0]
+    kept.place[1] -= 1
+
+
+@kernel
+def find_slopes(camera, model, x):
+    """Fill the model's table of the noise's slopes at a state."""
+    values = np.empty(model.reference.shape[0])
+    camera_of(model, x, 0.0, values)
+    slope_table(camera, values, model.pixel_size_m, model.rows, model.cols, model.slope_table)
+
+
+@kernel
+def linearise_window(functions, model, rules, state, kept, covariance):
+    """Filter the window again, linearised at the current state, until the state stays.
+
+    Returns the number of times.
+    """
+    scale = noise_scale(state.tally)
+    if np.abs(state.x - state.sloped_at).max() > _RELINEARISE:
+        state.sloped_at[:] = state.x
+        find_slopes(functions[0], model, state.sloped_at)
+    for iteration in range(_ITERATIONS):
+        moved = np.abs(state.x - state.linearised_at).max()
+        if not moved > _RELINEARISE:
+            return iteration
+        # From the third time on with half steps: along weak directions full ones may swing.
+        weight = 1.0 if iteration < 3 else 0.5
+        state.linearised_at[:] += weight * (state.x - state.linearised_at)
+        state.x[:], state.root[:, :] = state.base_x, state.base_root
+        for k in range(kept.place[1]):
+            slot = (kept.place[0] + k) % kept.facts.shape[0]
+            _advance(
+                functions, model, rules, kept, slot, state.linearised_at, state.x, state.root,
+                covariance, scale,
+            )  # fmt: skip
+    return _ITERATIONS
