@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -66,7 +67,7 @@ def command(
     output_folder(out)
     parent = load(initial)
     inputs = read_inputs(selection)
-    inputs.provenance["parent_sha256"] = sha256_of(initial)
+    inputs = replace(inputs, provenance=inputs.provenance | {"parent_sha256": sha256_of(initial)})
     names = None if parameters is None else tuple(p.strip() for p in parameters.split(","))
     label = f"fit {selection.sensor}"
     if batch:

@@ -52,36 +52,41 @@ def conventional_update(rows, x, covariance, innovation, score):
 def carlson_update(rows, x, root, innovation, score):
     """Carlson's triangular square-root update, Enright 2018 eqs (83)-(87) with f = S^T h in (87).
 
-    ``root`` is the lower triangular S of P = S S^T and stays triangular, which is why columns are
-    taken from the last to the first (Carlson 1973; Grewal & Andrews 2001 have the upper form).
+    ``root`` is S^T, upper triangular, P = S S^T: rows are contiguous then.  It stays triangular
+    when columns of S are taken from the last to the first (Carlson 1973; Grewal & Andrews 2001
+    have the other form).
     """
     n = x.shape[0]
-    step, w = np.zeros_like(x), np.empty_like(x)
+    step, w, f = np.zeros_like(x), np.empty_like(x), np.empty_like(x)
+    alpha = np.empty(n + 1, x.dtype)
     one, zero = rows.dtype.type(1.0), rows.dtype.type(0.0)
     score[:] = 0.0
     for a in range(rows.shape[0]):
         z = rows[a, n]
         for i in range(n):
             z -= rows[a, i] * step[i]
-        alpha = one
+            w[i] = zero
+        total = alpha[n] = one
         for j in range(n - 1, -1, -1):
-            f = zero
+            dot = zero
             for i in range(j, n):
-                f += root[i, j] * rows[a, i]
-            before = alpha
-            alpha += f * f
-            gamma = math.sqrt(alpha * before)
-            eta, zeta = before / gamma, f / gamma
-            w[j] = zero
-            for i in range(j, n):
-                old = root[i, j]
-                root[i, j] = eta * old - zeta * w[i]
-                w[i] += old * f
+                dot += root[j, i] * rows[a, i]
+            total += dot * dot
+            f[j], alpha[j] = dot, total
+        for j in range(n - 1, -1, -1):
+            dot, scale = f[j], one / math.sqrt(alpha[j] * alpha[j + 1])
+            eta, zeta = alpha[j + 1] * scale, dot * scale
+            # Over the zeros too: loops of one length are compiled to vector instructions.
+            for i in range(n):
+                old = root[j, i]
+                root[j, i] = eta * old - zeta * w[i]
+                w[i] += old * dot
+        gain = z / total
         for i in range(n):
-            step[i] += w[i] * (z / alpha)
-        innovation[a] = z / math.sqrt(alpha)
+            step[i] += w[i] * gain
+        innovation[a] = z / math.sqrt(total)
         score[0] += innovation[a] * innovation[a]
-        score[1] += math.log(alpha)
+        score[1] += math.log(total)
     for i in range(n):
         x[i] += step[i]
 
@@ -103,7 +108,7 @@ def information_update(rows, x, root, innovation, score):
         for k in range(n):
             if row[k] == 0.0:
                 continue
-            length = math.hypot(root[k, k], row[k])
+            length = math.sqrt(root[k, k] * root[k, k] + row[k] * row[k])
             cosine, sine = root[k, k] / length, row[k] / length
             for j in range(k, n):
                 above = root[k, j]
@@ -126,7 +131,7 @@ def information_update(rows, x, root, innovation, score):
 
 @kernel
 def sigma_points(x, root, points):
-    """Fill ``points`` (2 n + 1, n): x, and x plus and minus sqrt(n) columns of S.
+    """Fill ``points`` (2 n + 1, n): x, and x plus and minus sqrt(n) columns of S (rows of root).
 
     The scaled transform with alpha = 1, kappa = 0 (lambda = 0): no weight is negative, so that the
     covariance can't become indefinite.
@@ -136,8 +141,8 @@ def sigma_points(x, root, points):
     points[0] = x
     for k in range(n):
         for i in range(n):
-            points[1 + k, i] = x[i] + spread * root[i, k]
-            points[1 + n + k, i] = x[i] - spread * root[i, k]
+            points[1 + k, i] = x[i] + spread * root[k, i]
+            points[1 + n + k, i] = x[i] - spread * root[k, i]
 
 
 @kernel
@@ -167,14 +172,14 @@ def unscented_update(values, x, root, innovation, score):
     stacked = np.zeros((count, n), x.dtype)
     for i in range(n):
         for k in range(n):
-            deviation = side * spread * root[i, k]
+            deviation = side * spread * root[k, i]
             x[i] += deviation * (w[1 + k] - w[1 + n + k])
             for j in range(count):
-                stacked[j, i] += deviation * (turn[1 + k, j] - turn[1 + n + k, j])
+                stacked[j, i] += deviation * (turn[j, 1 + k] - turn[j, 1 + n + k])
     triangularise(stacked)
     for i in range(n):
-        for j in range(n):
-            root[i, j] = stacked[j, i] if j <= i else x.dtype.type(0.0)
+        for j in range(i, n):
+            root[i, j] = stacked[i, j]
 
 
 @kernel
@@ -219,10 +224,10 @@ def root_predict(root, noise_sd):
     n = noise_sd.shape[0]
     stacked = np.zeros((2 * n, n), root.dtype)
     for i in range(n):
-        for j in range(i + 1):
-            stacked[j, i] = root[i, j]
+        for j in range(i, n):
+            stacked[i, j] = root[i, j]
         stacked[n + i, i] = noise_sd[i]
     triangularise(stacked)
     for i in range(n):
-        for j in range(i + 1):
-            root[i, j] = stacked[j, i]
+        for j in range(i, n):
+            root[i, j] = stacked[i, j]

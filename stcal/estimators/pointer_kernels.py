@@ -123,13 +123,13 @@ def covariance_itself(root, covariance):
 
 @pointer(COVARIANCE)
 def covariance_of_root(root, covariance):
-    """P = S S^T."""
+    """P = S S^T with S^T the root."""
     n = root.shape[0]
     for i in range(n):
         for j in range(n):
             total = 0.0
             for k in range(min(i, j) + 1):
-                total += root[i, k] * root[j, k]
+                total += root[k, i] * root[k, j]
             covariance[i, j] = total
 
 

@@ -286,6 +286,9 @@ def _one_pass(
 
 def unseen(matched: MatchedFrames, state: FilterState) -> MatchedFrames:
     """Return the frames after the last one that a state has seen."""
-    if state.last_t_tai_ns is None:
+    if state.last_t_tai_ns is None or state.last_frame_id is None:
         return matched
-    return matched.take(matched.frames.t_tai_ns > state.last_t_tai_ns)
+    frames = matched.frames
+    later = frames.t_tai_ns > state.last_t_tai_ns
+    at_once = (frames.t_tai_ns == state.last_t_tai_ns) & (frames.frame_id > state.last_frame_id)
+    return matched.take(later | at_once)
