@@ -15,17 +15,20 @@ from stcal.calibration import Calibration
 from stcal.frames import FrameBatch
 from stcal.matching import Matcher
 from stcal.pipeline.describe import fit_document
-from stcal.pipeline.estimate import Estimate
+from stcal.pipeline.estimate import Estimate, Solution
 from stcal.pipeline.evidence import twice_log_evidence
 from stcal.pipeline.filter_run import EVENTS, FrameHistory, Run
 from stcal.pipeline.filtering import Filter, Variant
 from stcal.pipeline.numbers import number, numbers
+from stcal.pipeline.parameters import parameter_scale
 from stcal.times import format_utc
 
 Floats = NDArray[np.float64]
 
 _SERIES_LENGTH = 600
 _CONFIDENCE = 0.95
+# Farther from the optimum than this, a filter of constants has not found it.
+_FAR_SD = 3.0
 
 
 def sequential_document(
@@ -41,7 +44,15 @@ def sequential_document(
 ) -> dict[str, Any]:
     """Return the document of a sequential fit, schema ``stcal.fit/1``."""
     run = runs[choice]
-    return fit_document(estimate, batches, initial, matcher, refusals, provenance) | {
+    document = fit_document(estimate, batches, initial, matcher, refusals, provenance)
+    step = step_to_optimum_sd(estimate.solution, matcher)
+    constant = not any((variant.process_noise or {}).values()) and choice == "constant"
+    if constant and not step <= _FAR_SD:
+        document["verdict"]["notes"].append(
+            f"the estimate is {step:.1f} sd from the least squares optimum of all frames as they "
+            "match now: its sd is too small, or it was made of other matches"
+        )
+    return document | {
         "method": f"sequential {variant.method}",
         "matches": variant.matches if variant.rematch else f"{variant.matches}, baseline only",
         "sequential": {
@@ -55,6 +66,7 @@ def sequential_document(
                 "baseline": int(run.history.matched_baseline.sum()),
             },
             "stars_rejected": int(run.history.rejected.sum()),
+            "step_to_optimum_sd": number(step),
             "linearised_anew": int(run.history.iterations.sum()),
             "events": _events(run.history),
             "on_baseline": bool(run.history.on_baseline[-1]),
@@ -62,6 +74,16 @@ def sequential_document(
             "history": history_series(run),
         },
     }
+
+
+def step_to_optimum_sd(solution: Solution, matcher: Matcher) -> float:
+    """Return the largest change, in sd, that one Gauss-Newton step over all frames would make."""
+    scale = parameter_scale(matcher.config, solution.estimated_names)
+    sd = np.sqrt(np.diag(solution.covariance))[solution.free]
+    root, projected = solution.information.root, solution.information.projected
+    step = np.linalg.lstsq(root, -projected, rcond=None)[0] * scale
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(np.abs(step / sd).max())
 
 
 def innovation_summary(history: FrameHistory) -> dict[str, Any]:
