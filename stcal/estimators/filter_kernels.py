@@ -24,6 +24,7 @@ def conventional_update(rows, x, covariance, innovation, score):
 
     With R = 1 the vector update equals scalar updates one after the other.  The subtraction in
     (27) loses the covariance's positive definiteness in short arithmetic: see ``carlson_update``.
+    Where it is lost altogether, state and score become NaN.
     """
     n = x.shape[0]
     step, gain = np.zeros_like(x), np.empty_like(x)
@@ -37,13 +38,16 @@ def conventional_update(rows, x, covariance, innovation, score):
                 gain[i] += covariance[i, j] * rows[a, j]
             alpha += rows[a, i] * gain[i]
             z -= rows[a, i] * step[i]
+        if not alpha > 0.0:
+            x[:], innovation[:], score[:] = math.nan, math.nan, math.nan
+            return
         for i in range(n):
             step[i] += gain[i] * (z / alpha)
             for j in range(n):
                 covariance[i, j] -= gain[i] / alpha * gain[j]
-        innovation[a] = z / math.sqrt(alpha) if alpha > 0.0 else math.nan
+        innovation[a] = z / math.sqrt(alpha)
         score[0] += innovation[a] * innovation[a]
-        score[1] += math.log(alpha) if alpha > 0.0 else math.nan
+        score[1] += math.log(alpha)
     for i in range(n):
         x[i] += step[i]
 

@@ -1,11 +1,12 @@
 """The state of a sequential filter between telemetry frames, and its file ``stcal.filter/1``.
 
 A pass that stops after any frame and goes on from the file gives bitwise what one pass gives:
-floats are written so that they are read back exactly.
+floats are written so that they are read back exactly, and a hash of the content tells damage.
 """
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -78,7 +79,14 @@ def save_state(state: StateFile, path: Path) -> None:
         for name, one in state.filters.items()
     }
     document = {"schema": SCHEMA, "setting": state.setting, "filters": filters}
-    write_text(path, canonical_json(document))
+    write_text(path, canonical_json(document | {"sha256": _hash(document)}))
+
+
+def _hash(document: dict[str, Any]) -> str:
+    try:
+        return hashlib.sha256(canonical_json(document).encode()).hexdigest()
+    except ValueError:  # a number that is not finite: never written
+        return ""
 
 
 def load_state(path: Path, setting: dict[str, Any]) -> dict[str, FilterState]:
@@ -92,38 +100,32 @@ def load_state(path: Path, setting: dict[str, Any]) -> dict[str, FilterState]:
     document = read_json_object(path)
     if document.get("schema") != SCHEMA:
         raise InputError(f"{path}: schema is {document.get('schema')!r}, not {SCHEMA!r}")
-    found, filters = document.get("setting"), document.get("filters")
-    if not isinstance(found, dict) or not isinstance(filters, dict) or not filters:
-        raise InputError(f"{path}: setting or filters are missing")
+    content = {key: document.get(key) for key in ("schema", "setting", "filters")}
+    if document.get("sha256") != _hash(content):
+        raise InputError(f"{path}: damaged: its content does not agree with its hash")
+    found = content["setting"]
     for key in sorted(set(setting) | set(found)):
         if setting.get(key) != found.get(key):
             raise InputError(
                 f"{path}: was made with {key} {found.get(key)!r}, this run has {setting.get(key)!r}"
             )
-    return {name: _filter(section, f"{path}: filters.{name}") for name, section in filters.items()}
+    return {name: _filter(section) for name, section in content["filters"].items()}
 
 
-def _filter(section: Any, where: str) -> FilterState:
-    if not isinstance(section, dict):
-        raise InputError(f"{where} is not an object")
-    arrays = {}
-    for key in _ARRAYS:
-        try:
-            arrays[key] = np.array(section.get(key), dtype=np.float64)
-        except (TypeError, ValueError, OverflowError):
-            raise InputError(f"{where}.{key} is not an array of numbers") from None
-        if not np.isfinite(arrays[key]).all():
-            raise InputError(f"{where}.{key} holds a number that is not finite")
-    _check_shapes(arrays, where)
-    last = [section.get(key) for key in ("last_t_tai_ns", "last_frame_id")]
-    if any(isinstance(v, bool) or not isinstance(v, int) for v in last):
-        raise InputError(f"{where}: the last frame's time or number is missing")
-    return FilterState(**arrays, last_t_tai_ns=last[0], last_frame_id=last[1])
-
-
-def _check_shapes(arrays: dict[str, Floats], where: str) -> None:
-    size = arrays["x"].shape
-    if len(size) != 1 or arrays["root"].shape != size * 2:
-        raise InputError(f"{where}: x and root don't belong together")
-    if arrays["tally"].ndim != 1 or arrays["window"].ndim != 2:
-        raise InputError(f"{where}: tally or window has the wrong shape")
+def _filter(section: dict[str, Any]) -> FilterState:
+    """Return a filter's state; lists that are empty get their dimensions back."""
+    arrays = {key: np.array(section[key], dtype=np.float64) for key in _ARRAYS}
+    n, count = len(section["x"]), len(section["kept_star"])
+    stars = len(section["kept_star"][0]) if count else 0
+    shapes = {
+        "kept_star": (count, stars, 6),
+        "kept_c_di": (count, 2, 3, 3),
+        "kept_facts": (count, 4),
+        "kept_after": (count, n + 1, n),
+    }
+    arrays |= {key: arrays[key].reshape(shape) for key, shape in shapes.items()}
+    return FilterState(
+        **arrays,
+        last_t_tai_ns=section["last_t_tai_ns"],
+        last_frame_id=section["last_frame_id"],
+    )

@@ -139,12 +139,41 @@ def _evaluate(camera, model, warmth, arcs, chosen, points, values):
 
 
 @kernel
+def _on_a_plane(rows, x, points, values):
+    """Fill ``values`` (A, count) with what linear residuals, ``rows`` [H | y] at x, give at points.
+
+    For these the unscented update is Kalman's.
+    """
+    n = x.shape[0]
+    for a in range(rows.shape[0]):
+        for p in range(points.shape[0]):
+            values[a, p] = -rows[a, n]
+            for k in range(n):
+                values[a, p] += rows[a, k] * (points[p, k] - x[k])
+
+
+@kernel
 def update_by_frame(
-    camera, update, model, rules, kept, slot, at, x, root, covariance, scale, innovation, score
+    camera,
+    update,
+    model,
+    rules,
+    kept,
+    slot,
+    at,
+    anew,
+    x,
+    root,
+    covariance,
+    scale,
+    innovation,
+    score,
 ):
     """Update the state by a kept frame, linearised at ``at``.
 
-    Returns the number of independent arclengths, of innovations and of rejected stars.
+    An unscented filter evaluates a new frame at its sigma points; one that is taken ``anew`` it
+    linearises as the others do.  Returns the number of independent arclengths, of innovations and
+    of rejected stars.
     """
     warmth, n = kept.facts[slot, 2], x.shape[0]
     values = np.empty(model.reference.shape[0])
@@ -158,10 +187,13 @@ def update_by_frame(
     count = arcs.arc.shape[0]
     rows, points = np.empty((count, n + 1)), np.empty((2 * n + 1, n))
     residuals = np.empty((count, 2 * n + 1))
-    if rules.unscented:
+    if rules.unscented and not anew:
         sigma_points(x, root, points)
         _evaluate(camera, model, warmth, arcs, chosen, points, residuals)
     else:
         _linearise(camera, model, warmth, arcs, chosen, at, x.copy(), rows)
+        if rules.unscented:
+            sigma_points(x, root, points)
+            _on_a_plane(rows, x, points, residuals)
     update(rows, residuals, x, root, innovation[:count], score)
     return count - arcs.dependent, count, rejected

@@ -68,7 +68,7 @@ def _one_frame(
         drop_oldest(state, kept)
     slot = keep(f, telemetry, star[first:last], s_i[first:last], c_di, kept)
     history.arcs[f], count, history.rejected[f] = update_by_frame(
-        camera, update, model, rules, kept, slot, at, state.x, state.root, covariance,
+        camera, update, model, rules, kept, slot, at, False, state.x, state.root, covariance,
         noise_scale(state.tally), history.innovation[2 * first : 2 * last], score,
     )  # fmt: skip
     note(kept, slot, state.x, state.root)
@@ -76,7 +76,7 @@ def _one_frame(
     history.nis[f], history.log_determinant[f] = (score[0], score[1]) if count else (
         math.nan, math.nan,
     )  # fmt: skip
-    if not rules.fixed and not rules.unscented and np.isfinite(state.x).all():
+    if not rules.fixed and np.isfinite(state.x).all():
         history.iterations[f] = linearise_window(functions, model, rules, state, kept, covariance)
 
 
@@ -99,7 +99,8 @@ def _run_pass(
             f, (camera, update, predict), telemetry, baseline, model, rules, sky, rule, work,
             state, kept, history, covariance, star, s_i,
         )  # fmt: skip
-        watch(f, baseline, state, kept, rules, history, telemetry)
+        covariance_of(state.root, covariance)
+        watch(f, baseline, state, kept, rules, history, telemetry, covariance)
         covariance_of(state.root, covariance)
         scale = noise_scale(state.tally)
         history.x[f], history.noise_scale[f] = state.x, scale

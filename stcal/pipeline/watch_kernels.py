@@ -46,8 +46,11 @@ def noise_scale(tally):
 
 
 @kernel
-def watch(f, baseline, state, kept, rules, history, telemetry):
-    """Count frame ``f`` and start the filter anew when it is not to be trusted."""
+def watch(f, baseline, state, kept, rules, history, telemetry, covariance):
+    """Count frame ``f`` and start the filter anew when it is not to be trusted.
+
+    ``covariance`` (n, n) is that of the state after the frame.
+    """
     tally, window = state.tally, state.window
     first, last = telemetry.offsets[2 * f], telemetry.offsets[2 * f + 2]
     row = window[int(tally[FRAMES]) % window.shape[0]]
@@ -60,7 +63,7 @@ def watch(f, baseline, state, kept, rules, history, telemetry):
         row[4] = history.nis[f]
         tally[EVIDENCE] -= 0.5 * (history.nis[f] + history.log_determinant[f])
         most = _LARGEST_SHARE * history.arcs[f] * tally[NIS] / tally[DOF]
-    event = _judge(state, rules, f, history)
+    event = _judge(state, rules, f, history, covariance)
     if history.arcs[f] > 0 and event != NUMERICAL:
         tally[NIS] += min(history.nis[f], most)
         tally[DOF] += history.arcs[f]
@@ -79,11 +82,10 @@ def watch(f, baseline, state, kept, rules, history, telemetry):
 
 
 @kernel
-def _judge(state, rules, f, history):
+def _judge(state, rules, f, history, covariance):
     """Return the event of the frame just counted."""
-    for k in range(state.x.shape[0]):
-        if not np.isfinite(state.x[k]) or not np.isfinite(state.root[k]).all():
-            return NUMERICAL
+    if not np.isfinite(state.x).all() or not _is_positive_definite(covariance):
+        return NUMERICAL
     if history.arcs[f] > 0 and not np.isfinite(history.nis[f] + history.log_determinant[f]):
         return NUMERICAL
     window, tally = state.window, state.tally
@@ -93,7 +95,8 @@ def _judge(state, rules, f, history):
     if rules.shadow:
         if total[1] - total[0] >= rules.lost_frames:
             return LOST_FRAMES
-        full = tally[FRAMES] >= window.shape[0] and total[3] > 0.0
+        # Probation lasts as long as the window takes to fill again.
+        full = tally[FRAMES] >= window.shape[0] and tally[PROBATION] == 0.0
         if full and total[2] < (1.0 - rules.lost_star_share) * total[3]:
             return LOST_STARS
     if total[5] >= window.shape[0]:
@@ -101,3 +104,25 @@ def _judge(state, rules, f, history):
         if mean > rules.divergence * usual or mean > rules.divergence_noise:
             return INNOVATIONS
     return NOTHING
+
+
+@kernel
+def _is_positive_definite(covariance):
+    """Whether a Cholesky factor exists; the covariance is taken in units of its own sd."""
+    n = covariance.shape[0]
+    factor = np.zeros((n, n))
+    for i in range(n):
+        if not covariance[i, i] > 0.0 or not math.isfinite(covariance[i, i]):
+            return False
+    for i in range(n):
+        for j in range(i + 1):
+            value = covariance[i, j] / math.sqrt(covariance[i, i] * covariance[j, j])
+            for k in range(j):
+                value -= factor[i, k] * factor[j, k]
+            if i > j:
+                factor[i, j] = value / factor[j, j]
+            elif not value > 0.0:
+                return False
+            else:
+                factor[i, i] = math.sqrt(value)
+    return True

@@ -60,8 +60,9 @@ def _advance(functions, model, rules, kept, slot, at, x, root, covariance, scale
         predict(root, model.noise_sd * (kept.facts[slot, 3] / scale))
     innovation, score = np.empty(2 * kept.star.shape[1]), np.empty(2)
     update_by_frame(
-        camera, update, model, rules, kept, slot, at, x, root, covariance, scale, innovation, score
-    )
+        camera, update, model, rules, kept, slot, at, True, x, root, covariance, scale, innovation,
+        score,
+    )  # fmt: skip
     note(kept, slot, x, root)
 
 
