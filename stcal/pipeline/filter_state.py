@@ -103,13 +103,13 @@ def load_state(path: Path, setting: dict[str, Any]) -> dict[str, FilterState]:
     content = {key: document.get(key) for key in ("schema", "setting", "filters")}
     if document.get("sha256") != _hash(content):
         raise InputError(f"{path}: damaged: its content does not agree with its hash")
-    found = content["setting"]
+    found, filters = dict(content["setting"] or {}), dict(content["filters"] or {})
     for key in sorted(set(setting) | set(found)):
         if setting.get(key) != found.get(key):
             raise InputError(
                 f"{path}: was made with {key} {found.get(key)!r}, this run has {setting.get(key)!r}"
             )
-    return {name: _filter(section) for name, section in content["filters"].items()}
+    return {name: _filter(section) for name, section in filters.items()}
 
 
 def _filter(section: dict[str, Any]) -> FilterState:
