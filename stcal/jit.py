@@ -44,10 +44,11 @@ def pointer(signature: Any) -> Callable[[Callable[..., Any]], Any]:
 
 
 def _compiled(function: Callable[..., Any], signatures: list[Any] | None) -> Any:
+    """Compile without bounds checks; a division by zero gives infinity or NaN, as in numpy."""
     before = settings.CACHE_DIR
     settings.CACHE_DIR = str(cache_folder())
     try:
-        return numba.njit(signatures, cache=True, nogil=True)(function)
+        return numba.njit(signatures, cache=True, nogil=True, error_model="numpy")(function)
     finally:
         settings.CACHE_DIR = before
 

@@ -93,7 +93,7 @@ def innovation_summary(history: FrameHistory) -> dict[str, Any]:
     ``scaled_per_arc`` under the noise that the filter has found; ``within`` the share of frames
     whose NIS lies in its chi-square interval; ``lag_one`` the correlation of neighbours.
     """
-    used = history.arcs > 0
+    used = (history.arcs > 0) & np.isfinite(history.nis)
     nis, arcs = history.nis[used], history.arcs[used]
     if not len(nis):
         return {}
@@ -101,7 +101,7 @@ def innovation_summary(history: FrameHistory) -> dict[str, Any]:
     tail = 0.5 * (1.0 - _CONFIDENCE)
     low, high = chi2.ppf(tail, arcs), chi2.ppf(1.0 - tail, arcs)
     inside = (nis / scale2 >= low) & (nis / scale2 <= high)
-    z = history.innovation
+    z = history.innovation[np.isfinite(history.innovation)]
     lag = float((z[1:] * z[:-1]).sum() / max((z * z).sum(), 1e-300))
     return {
         "count": int(arcs.sum()),

@@ -17,12 +17,15 @@ from stcal.jit import kernel
 # Events of a frame.
 NOTHING, LOST_FRAMES, LOST_STARS, INNOVATIONS, NUMERICAL = range(5)
 # Places in the tally.
-NIS, DOF, FRAMES, FALLBACKS, PROBATION, EVIDENCE, LAST = range(7)
-TALLY = 7
+NIS, DOF, FRAMES, PROBATION = range(4)
+TALLY = 4
 # Columns of the window: fixed and matched by the estimate and the baseline, NIS, arcs.
 WINDOW = 6
 # The configured noise counts as this many arcs when the noise scale is estimated.
 _PRIOR_ARCS = 100.0
+# So many frames with innovations must be in the window before their NIS is judged: single ones
+# reach six times the configured noise while the camera is uncertain.
+_JUDGED_FRAMES = 5
 # One frame raises the noise scale by no more than this (a false match would ruin it).
 _LARGEST_SHARE = 9.0
 
@@ -61,7 +64,6 @@ def watch(f, baseline, state, kept, rules, history, telemetry, covariance):
     tally[FRAMES] += 1.0
     if history.arcs[f] > 0:
         row[4] = history.nis[f]
-        tally[EVIDENCE] -= 0.5 * (history.nis[f] + history.log_determinant[f])
         most = _LARGEST_SHARE * history.arcs[f] * tally[NIS] / tally[DOF]
     event = _judge(state, rules, f, history, covariance)
     if history.arcs[f] > 0 and event != NUMERICAL:
@@ -74,7 +76,6 @@ def watch(f, baseline, state, kept, rules, history, telemetry, covariance):
         state.linearised_at[:] = state.start_x
         kept.place[:] = 0
         window[:, :] = 0.0
-        tally[FALLBACKS] += 1.0
         tally[PROBATION] = window.shape[0]
     elif tally[PROBATION] > 0.0:
         tally[PROBATION] -= 1.0
@@ -99,7 +100,7 @@ def _judge(state, rules, f, history, covariance):
         full = tally[FRAMES] >= window.shape[0] and tally[PROBATION] == 0.0
         if full and total[2] < (1.0 - rules.lost_star_share) * total[3]:
             return LOST_STARS
-    if total[5] >= window.shape[0]:
+    if (window[:, 5] > 0.0).sum() >= _JUDGED_FRAMES:
         mean, usual = total[4] / total[5], tally[NIS] / tally[DOF]
         if mean > rules.divergence * usual or mean > rules.divergence_noise:
             return INNOVATIONS

@@ -76,6 +76,24 @@ def drop_oldest(state, kept):
 
 
 @kernel
+def _hours(kept):
+    """Hours from before the oldest kept frame to the latest."""
+    total = 0.0
+    for k in range(kept.place[1]):
+        total += kept.facts[(kept.place[0] + k) % kept.facts.shape[0], 3] ** 2
+    return total
+
+
+@kernel
+def _drifted(covariance, model, hours, scale):
+    """Covariance of the state some hours ago, as far as it is known now."""
+    out = covariance.copy()
+    for k in range(out.shape[0]):
+        out[k, k] += max(hours, 0.0) * (model.noise_sd[k] / scale) ** 2
+    return out
+
+
+@kernel
 def find_slopes(camera, model, x):
     """Fill the model's table of the noise's slopes at a state."""
     values = np.empty(model.reference.shape[0])
@@ -101,10 +119,12 @@ def linearise_window(functions, model, rules, state, kept, covariance):
         weight = 1.0 if iteration < 3 else 0.5
         state.linearised_at[:] += weight * (state.x - state.linearised_at)
         state.x[:], state.root[:, :] = state.base_x, state.base_root
+        later = _hours(kept)
         for k in range(kept.place[1]):
             slot = (kept.place[0] + k) % kept.facts.shape[0]
+            later -= kept.facts[slot, 3] ** 2
             _advance(
                 functions, model, rules, kept, slot, state.linearised_at, state.x, state.root,
-                covariance, scale,
+                _drifted(covariance, model, later, scale), scale,
             )  # fmt: skip
     return _ITERATIONS
