@@ -101,7 +101,8 @@ def load_state(path: Path, setting: dict[str, Any]) -> dict[str, FilterState]:
     if document.get("schema") != SCHEMA:
         raise InputError(f"{path}: schema is {document.get('schema')!r}, not {SCHEMA!r}")
     content = {key: document.get(key) for key in ("schema", "setting", "filters")}
-    if document.get("sha256") != _hash(content):
+    expected = _hash(content)
+    if not expected or document.get("sha256") != expected:
         raise InputError(f"{path}: damaged: its content does not agree with its hash")
     found, filters = dict(content["setting"] or {}), dict(content["filters"] or {})
     for key in sorted(set(setting) | set(found)):

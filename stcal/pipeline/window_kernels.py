@@ -6,6 +6,8 @@ along the weak directions, and never forgets it.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from stcal.cameras.noise_kernels import slope_table
@@ -16,7 +18,11 @@ from stcal.pipeline.watch_kernels import noise_scale
 # A state that moved further than this (in units of its scale) since the window was linearised is
 # linearised anew.
 _RELINEARISE = 0.1
-_ITERATIONS = 10
+_ITERATIONS = 20
+# The point of linearisation moves by no more than this at a time (in units of the state's scale).
+_LONGEST = 2.0
+# A variance under which no star is screened out.
+_UNSURE = 1e4
 
 
 @kernel
@@ -54,16 +60,17 @@ def note(kept, slot, x, root):
 
 @kernel
 def _advance(functions, model, rules, kept, slot, at, x, root, covariance, scale):
-    """Bring a state from before a kept frame to after it, linearised at ``at``."""
+    """Bring a state from before a kept frame to after it, linearised at ``at``; returns its NIS."""
     camera, update, predict = functions
     if kept.facts[slot, 3] > 0.0:
         predict(root, model.noise_sd * (kept.facts[slot, 3] / scale))
-    innovation, score = np.empty(2 * kept.star.shape[1]), np.empty(2)
+    innovation, score = np.empty(2 * kept.star.shape[1]), np.zeros(2)
     update_by_frame(
         camera, update, model, rules, kept, slot, at, True, x, root, covariance, scale, innovation,
         score,
     )  # fmt: skip
     note(kept, slot, x, root)
+    return score[0]
 
 
 @kernel
@@ -105,26 +112,82 @@ def find_slopes(camera, model, x):
 def linearise_window(functions, model, rules, state, kept, covariance):
     """Filter the window again, linearised at the current state, until the state stays.
 
-    Returns the number of times.
+    While it holds all frames since the start, it is also linearised from the start a few times: the
+    first frames alone may lead to another minimum (a principal point on the other side with the
+    opposite distortion), which later ones show to be worse.  Returns the number of times.
     """
-    scale = noise_scale(state.tally)
-    if np.abs(state.x - state.sloped_at).max() > _RELINEARISE:
-        state.sloped_at[:] = state.x
-        find_slopes(functions[0], model, state.sloped_at)
+    times = _settle(functions, model, rules, state, kept, covariance)
+    if _is_due(state, kept):
+        times += _settle_from_start(functions, model, rules, state, kept, covariance)
+    return times
+
+
+@kernel
+def _settle(functions, model, rules, state, kept, covariance):
+    """Linearise the window at the current state until that stays; returns the number of times."""
     for iteration in range(_ITERATIONS):
         moved = np.abs(state.x - state.linearised_at).max()
         if not moved > _RELINEARISE:
             return iteration
-        # From the third time on with half steps: along weak directions full ones may swing.
-        weight = 1.0 if iteration < 3 else 0.5
-        state.linearised_at[:] += weight * (state.x - state.linearised_at)
-        state.x[:], state.root[:, :] = state.base_x, state.base_root
-        later = _hours(kept)
-        for k in range(kept.place[1]):
-            slot = (kept.place[0] + k) % kept.facts.shape[0]
-            later -= kept.facts[slot, 3] ** 2
-            _advance(
-                functions, model, rules, kept, slot, state.linearised_at, state.x, state.root,
-                _drifted(covariance, model, later, scale), scale,
-            )  # fmt: skip
+        _step(state, moved, iteration)
+        _filter_window(functions, model, rules, state, kept, covariance)
     return _ITERATIONS
+
+
+@kernel
+def _step(state, moved, iteration):
+    """Move the point of linearisation towards the state, along the valley rather than across."""
+    # After a while with half steps: along weak directions full ones may swing.
+    weight = 1.0 if iteration < _ITERATIONS // 2 else 0.5
+    state.linearised_at[:] += min(weight, _LONGEST / moved) * (state.x - state.linearised_at)
+
+
+@kernel
+def _filter_window(functions, model, rules, state, kept, covariance):
+    """Filter the kept frames from the state before them; returns their NIS, the window's cost."""
+    # Far from the noise, its slopes have a great part in the derivatives.
+    if np.abs(state.linearised_at - state.sloped_at).max() > _RELINEARISE:
+        state.sloped_at[:] = state.linearised_at
+        find_slopes(functions[0], model, state.sloped_at)
+    scale, later, cost = noise_scale(state.tally), _hours(kept), 0.0
+    state.x[:], state.root[:, :] = state.base_x, state.base_root
+    for k in range(kept.place[1]):
+        slot = (kept.place[0] + k) % kept.facts.shape[0]
+        later -= kept.facts[slot, 3] ** 2
+        cost += _advance(
+            functions, model, rules, kept, slot, state.linearised_at, state.x, state.root,
+            _drifted(covariance, model, later, scale), scale,
+        )  # fmt: skip
+    return cost
+
+
+@kernel
+def _is_due(state, kept):
+    """Whether the window holds all frames since the start, and is at one of a few lengths."""
+    count = kept.place[1]
+    if not (state.base_x == state.start_x).all():
+        return False
+    return count in (2, 3, 5, 8, 12, 18, 27, 40)
+
+
+@kernel
+def _settle_from_start(functions, model, rules, state, kept, covariance):
+    """Linearise the window from the start; that result stays when its cost is lower.
+
+    Stars are not screened meanwhile: both costs must be of the same ones, and ``covariance``
+    (n, n) belongs to the result so far.
+    """
+    unsure = _UNSURE * np.eye(state.x.shape[0])
+    here, cost = state.linearised_at.copy(), math.inf
+    limit = _filter_window(functions, model, rules, state, kept, unsure)
+    state.linearised_at[:] = state.start_x
+    for iteration in range(_ITERATIONS):
+        cost = _filter_window(functions, model, rules, state, kept, unsure)
+        moved = np.abs(state.x - state.linearised_at).max()
+        if not moved > _RELINEARISE:
+            break
+        _step(state, moved, iteration)
+    if not cost < limit - 1.0:
+        state.linearised_at[:] = here
+        _filter_window(functions, model, rules, state, kept, covariance)
+    return iteration + 3
