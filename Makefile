@@ -34,9 +34,12 @@ bench: $(VENV)/.bench
 	@mkdir -p bench
 	$(BIN)/python benchmarks/identification.py --json bench/identification.json
 	$(BIN)/python benchmarks/batch_fit.py --json bench/batch_fit.json
+	$(BIN)/python benchmarks/sequential.py --json bench/sequential.json
 
 study: $(VENV)/.installed
 	$(BIN)/python benchmarks/study.py --runs 50 --json study/study.json
+	$(BIN)/stcal study enright --out study/enright
+	$(BIN)/stcal study tracking --out study/tracking
 
 # Remake the simulated telemetry that is shipped.
 sample: $(VENV)/.installed

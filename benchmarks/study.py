@@ -20,8 +20,8 @@ from stcal.catalog.catalogue import load_bundled, select
 from stcal.config import load_config
 from stcal.matching import Matcher, match
 from stcal.pipeline.alignment import attitude_change
-from stcal.pipeline.parameters import parameter_scale
 from stcal.pipeline.fit import fit_batch
+from stcal.pipeline.parameters import parameter_scale
 from stcal.pipeline.validate import compare
 from stcal.residuals import select_stars
 from stcal.simulate import Simulation, load_scenario, simulate

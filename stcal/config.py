@@ -161,7 +161,7 @@ class Sequential(_Section):
     process_noise_sigma: NotNegative = 0.05
     process_noise: dict[str, NotNegative] = {}
     # Latest frames that are linearised anew while the estimate still moves far.
-    relinearised_frames: Annotated[int, Field(ge=1, le=10_000)] = 50
+    relinearised_frames: Annotated[int, Field(ge=1, le=10_000)] = 100
     # Parameters linear in temperature: where they are nominal, the prior sd of a slope in sigma per
     # kelvin, and twice the log evidence that decides for them (Kass & Raftery 1995: very strong).
     reference_temperature_c: Finite = 20.0
@@ -173,7 +173,8 @@ class Sequential(_Section):
     lost_frames: Annotated[int, Field(ge=1)] = 3
     lost_star_share: Fraction = 0.1
     divergence: Positive = 4.0
-    # Gate: more fallbacks than these and the result is refused.
+    # Gates.  Along directions weaker than this a filter takes its own wandering for information.
+    maximum_condition: Positive = 2e3
     maximum_fallbacks: Annotated[int, Field(ge=0)] = 1
 
 

@@ -25,6 +25,7 @@ COMMANDS = {
     "report": "Make the HTML report of a fit or validation again.",
     "summary": "Print one table of several validations.",
     "simulate": "Make telemetry of a simulated sensor.",
+    "study": "Run a study on simulated sensors and write its report.",
     "catalog": "Build or describe a star catalogue.",
     "sensor": "Check sensor configurations.",
 }

@@ -36,7 +36,19 @@ def sequential_refusals(
     estimate: Estimate, run: Run, initial: Calibration, config: SensorConfig
 ) -> list[str]:
     """Return the reasons to refuse a sequential fit, empty when it may be trusted."""
-    return refusals(estimate, _watched(run, config) + _unconverged(run), initial, config)
+    own = [*_watched(run, config), *_unconverged(run), *_too_weak(estimate, config)]
+    return refusals(estimate, own, initial, config)
+
+
+def _too_weak(estimate: Estimate, config: SensorConfig) -> list[str]:
+    """Return that a direction is too weak for a filter, though a batch fit may still find it."""
+    found, most = estimate.observed.condition_scaled, config.sequential.maximum_condition
+    if found <= most or not found <= config.fit.maximum_condition:
+        return []
+    return [
+        f"condition number {found:.3g} after scaling, at most {most:.3g} allowed for a filter: "
+        "fit in a batch, or fewer --parameters"
+    ]
 
 
 def _watched(run: Run, config: SensorConfig) -> list[str]:

@@ -18,8 +18,10 @@ from stcal.report.document import (
     number,
     section,
     sections,
+    sequence,
     text,
 )
+from stcal.report.filter_content import is_sequential
 from stcal.report.format import (
     NOT_AVAILABLE,
     count,
@@ -36,6 +38,7 @@ from stcal.report.format import (
 from stcal.units import unit_of
 
 _BOTH = ("initial", "fitted")
+_NOTHING = "\N{EN DASH}"
 
 
 def fit_summary(document: Document) -> Table:
@@ -64,17 +67,19 @@ def fit_summary(document: Document) -> Table:
 def fit_facts(document: Document) -> Table:
     """What was fitted, with what."""
     noise, span = section(document, "noise"), section(document, "span")
+    sequential = is_sequential(document)
+    settled = () if sequential else (("Matched set settled", yes_no(document.get("settled"))),)
     rows = (
         ("Sensor", words(document.get("sensor_id"))),
         ("Method", " / ".join(words(document.get(key)) for key in ("method", "residual"))),
-        ("Matches of the first cycle", words(document.get("matches"))),
+        ("Matches" if sequential else "Matches of the first cycle", words(document.get("matches"))),
         ("Time span", f"{words(span.get('from'))} to {words(span.get('to'))}"),
         ("Frames", count(document.get("frames"))),
         ("Exposures used", count(document.get("exposures_used"))),
         ("Stars used", count(document.get("stars_used"))),
         ("Arclengths", count(document.get("arcs"))),
         ("Detector coverage", percent(document.get("coverage"))),
-        ("Matched set settled", yes_no(document.get("settled"))),
+        *settled,
         ("Centroid noise, sd", fixed(noise.get("sd_px"), 3, "px")),
         ("Noise found / assumed", fixed(noise.get("scale"), 3)),
         *origin(document),
@@ -112,8 +117,17 @@ def parameter_table(document: Document) -> Table:
         "sigma: spread of the parameter from unit to unit (sensor configuration, as in Enright "
         "2018 Table II). sd: one-sigma uncertainty of the fit."
     )
-    rows = tuple(_parameter_row(item) for item in sections(document.get("parameters")))
+    rows = tuple(
+        _held_row(item) if is_held(item, document) else _parameter_row(item)
+        for item in sections(document.get("parameters"))
+    )
     return Table("Parameters", header, rows, note)
+
+
+def is_held(item: Document, document: Document) -> bool:
+    """Whether a row of the document's parameters is one that was not estimated."""
+    estimated = sequence(document.get("estimated_parameters"))
+    return bool(estimated) and item.get("sd") is None and item.get("name") not in estimated
 
 
 def observability_table(document: Document) -> Table:
@@ -146,6 +160,12 @@ def c_sd_table(document: Document) -> Table:
         *listed,
     )
     return Table("Alignment update (C_SD)", ("", ""), rows, numeric=False)
+
+
+def _held_row(item: Document) -> tuple[str, ...]:
+    unit = unit_of(text(item.get("name")))
+    values = (significant(_in_unit(item.get(key), unit.size), 6) for key in _BOTH)
+    return (unit.label, *values, "held", *3 * (_NOTHING,))
 
 
 def _parameter_row(item: Document) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from stcal.report.content import quotient
 from stcal.report.document import Document, Floats, matrix, numbers, sections, sequence, text
+from stcal.report.fit_content import is_held
 from stcal.report.format import fixed, significant
 from stcal.report.svg import AFTER, FAINT, NEUTRAL, draw, start_axes
 from stcal.units import unit_of
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 def parameter_changes(document: Document, name: str) -> str | None:
     """Bars of the change of each parameter in units of its spread from unit to unit."""
-    listed = sections(document.get("parameters"))
+    listed = [p for p in sections(document.get("parameters")) if not is_held(p, document)]
     found = [p for p in listed if np.isfinite(numbers([p.get("change_sigma")])).all()]
     if not found:
         return None

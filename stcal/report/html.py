@@ -1,4 +1,4 @@
-"""One self-contained HTML file per fit, validation, or both: verdict first.
+"""One self-contained HTML file per fit, validation, both of them, or study: verdict first.
 
 Everything that comes from a document is escaped; the figures are inline SVG; nothing is loaded
 from outside and no script is needed.
@@ -7,49 +7,34 @@ from outside and no script is needed.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stcal.atomic import write_text
 from stcal.errors import InputError
-from stcal.report import content, figures, fit_content, fit_figures
+from stcal.report import (
+    content,
+    enright_html,
+    figures,
+    filter_figures,
+    fit_content,
+    fit_figures,
+    tracking_html,
+)
 from stcal.report.content import Table, Verdict
 from stcal.report.document import (
+    ENRIGHT_SCHEMA,
     FIT_SCHEMA,
+    TRACKING_SCHEMA,
     VALIDATION_SCHEMA,
     Document,
     numbers,
     section,
     text,
 )
-
-if TYPE_CHECKING:
-    from jinja2 import Template
-
-_TEMPLATES = Path(__file__).parent / "templates"
-
-
-@dataclass(frozen=True)
-class Picture:
-    """Figures side by side with a caption; None is a figure without data.
-
-    Without a title it belongs to the table above it.
-    """
-
-    title: str
-    caption: str
-    svgs: tuple[str | None, ...]
-
-
-@dataclass(frozen=True)
-class Part:
-    """One document laid out: tables and pictures in reading order."""
-
-    title: str
-    items: tuple[Table | Picture, ...]
+from stcal.report.filter_content import filter_tables, is_sequential
+from stcal.report.layout import Part, Picture, page
 
 
 def render_fit(document: Document) -> str:
@@ -90,6 +75,8 @@ def render_recalibration(
 RENDERERS: dict[str, Callable[[Document], str]] = {
     FIT_SCHEMA: render_fit,
     VALIDATION_SCHEMA: render_validation,
+    ENRIGHT_SCHEMA: enright_html.render,
+    TRACKING_SCHEMA: tracking_html.render,
 }
 
 
@@ -155,11 +142,35 @@ def _fit_part(document: Document) -> Part:
                 ),
             ),
             _time_picture(document, labels, "fit"),
-            fit_content.cycle_table(document),
-            Picture("", "", (fit_figures.cycles(document, "fit-cycles"),)),
+            *_way_items(document),
             fit_content.c_sd_table(document),
             fit_content.fit_facts(document),
             content.provenance_table(document),
+        ),
+    )
+
+
+def _way_items(document: Document) -> tuple[Table | Picture, ...]:
+    """How the fit came about: a filter's way through the frames, or a batch fit's cycles."""
+    if not is_sequential(document):
+        cycles = fit_figures.cycles(document, "fit-cycles")
+        return fit_content.cycle_table(document), Picture("", "", (cycles,))
+    return (
+        *filter_tables(document),
+        Picture(
+            "Convergence",
+            "Each parameter's departure from its last value, in units of its sd at the end (given "
+            "above each panel). Grey: within 3 sd as the filter knew it at that frame. The scale "
+            "is linear within 3 sd and logarithmic beyond; frames are spaced by their root.",
+            (filter_figures.convergence(document, "fit-convergence"),),
+        ),
+        Picture(
+            "Innovations and matched stars",
+            "Above: normalised innovation squared (NIS) of each frame per arclength; triangles lie "
+            "above the range. Grey: where 95 % of the frames should lie, for a typical number of "
+            "arcs. Below: matched stars, both exposures together, each frame identified with the "
+            "estimate before it.",
+            (filter_figures.way_of_filter(document, "fit-way"),),
         ),
     )
 
@@ -215,26 +226,10 @@ def _time_picture(document: Document, labels: tuple[str, str], prefix: str) -> P
 
 
 def _page(heading: str, verdicts: Sequence[Verdict], parts: Sequence[Part]) -> str:
-    return _template().render(
+    return page(
+        "report.html.j2",
         heading=heading,
         verdicts=verdicts,
         parts=parts,
         several=len(parts) > 1,
-        is_table=lambda item: isinstance(item, Table),
     )
-
-
-def _template() -> Template:
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-    from markupsafe import Markup
-
-    environment = Environment(
-        loader=FileSystemLoader(_TEMPLATES),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    # The figures' text was escaped when they were drawn; nothing else may pass unescaped.
-    environment.filters["svg"] = Markup
-    return environment.get_template("report.html.j2")

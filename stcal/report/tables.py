@@ -6,9 +6,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from stcal.report import content, difference_content, fit_content
+from stcal.report import (
+    content,
+    difference_content,
+    enright_content,
+    fit_content,
+    study_content,
+    tracking_content,
+)
 from stcal.report.content import Table, Verdict
 from stcal.report.document import Document, section
+from stcal.report.filter_content import filter_tables, is_sequential
 from stcal.report.format import NOT_AVAILABLE, fixed, rms, words
 
 if TYPE_CHECKING:
@@ -20,20 +28,32 @@ _DASH = "\N{EN DASH}"
 # What 80 columns hold of the cycles; the HTML report shows all.
 _CYCLE_COLUMNS = ("Cycle", "Matching", "Frames solved", "Matched stars", "Matches changed",
                   "RMS [µrad]", "chi² / dof", "Largest change [sd]")  # fmt: skip
+# And of a study's variants.
+_DRIFT_COLUMNS = ("Focal length", "Within 3 sd", "Within 1 sd", "Rms error [µm]",
+                  "Rms of error / sd", "Late [s]", "RMS / true")  # fmt: skip
+_STEP_COLUMNS = ("Variant", "f: frames until within 3 sd", "f within 3 sd",
+                 "m0: frames until within 3 sd", "m0 within 3 sd", "RMS / true")  # fmt: skip
 _COLOURS = {"accepted": "green", "refused": "red", "unknown": "yellow"}
 
 
 def fit_tables(document: Document, console: Console) -> None:
-    """Print a fit: verdict, before and after, parameters, cycles, observability, alignment."""
+    """Print a fit: verdict, before and after, parameters, its way, observability, alignment."""
     _print_verdict(content.verdict(document, "Fit"), document, console)
     for table in (
         fit_content.fit_summary(document),
         fit_content.parameter_table(document),
-        _only(fit_content.cycle_table(document), _CYCLE_COLUMNS),
+        *_way_tables(document),
         fit_content.observability_table(document),
         fit_content.c_sd_table(document),
     ):
         _print_table(table, console)
+
+
+def _way_tables(document: Document) -> tuple[Table, ...]:
+    """A filter's tables, or a batch fit's cycles."""
+    if is_sequential(document):
+        return filter_tables(document)
+    return (_only(fit_content.cycle_table(document), _CYCLE_COLUMNS),)
 
 
 def validation_tables(document: Document, console: Console) -> None:
@@ -48,6 +68,23 @@ def difference_tables(document: Document, console: Console) -> None:
     for table in (
         difference_content.parameter_table(document),
         difference_content.direction_table(document),
+    ):
+        _print_table(table, console)
+
+
+def enright_tables(document: Document, console: Console) -> None:
+    """Print the study ``enright``: Table V and the findings."""
+    for table in (enright_content.error_table(document), study_content.finding_table(document)):
+        _print_table(table, console)
+
+
+def tracking_tables(document: Document, console: Console) -> None:
+    """Print the study ``tracking``: drift, step, temperature, and the findings."""
+    for table in (
+        _only(tracking_content.drift_table(document), _DRIFT_COLUMNS),
+        _only(tracking_content.step_table(document), _STEP_COLUMNS),
+        tracking_content.temperature_table(document),
+        study_content.finding_table(document, "Expectation"),
     ):
         _print_table(table, console)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from typing import Any
 
 import numpy as np
@@ -79,6 +80,86 @@ def fit_document(frames: int = 120, seed: int = 1) -> dict[str, Any]:
             "from": "2026-01-05T00:00:00.000Z",
             "to": "2026-01-05T06:00:00.000Z",
         },
+    }
+
+
+def sequential_document(frames: int = 120, seed: int = 3) -> dict[str, Any]:
+    """A filter's fit: with process noise, one fallback, and a decision on temperature."""
+    document = fit_document(frames, seed)
+    del document["cycles"], document["settled"]
+    return document | {
+        "method": "sequential sqrf",
+        "matches": "lost-in-space",
+        "sequential": {
+            "variant": {
+                "method": "sqrf",
+                "precision": "double",
+                "matches": "lost-in-space",
+                "rematch": True,
+                "process_noise": {"f_m": 0.5, "m0_px": 0.1, "n0_px": 0.1, "g_y": 0.0},
+                "parameters": None,
+                "temperature": ["f_m"],
+                "shadow": True,
+            },
+            "frames": frames,
+            "frames_updated": frames - 3,
+            "innovations": {
+                "count": 35 * frames,
+                "per_arc": 1.4951,
+                "scaled_per_arc": 1.0021,
+                "noise_scale": 1.2215,
+                "confidence": 0.95,
+                "within": 0.9475,
+                "lag_one": -0.0084,
+            },
+            "availability": {"estimate": 0.99, "baseline": 0.81, "used": 0.9666},
+            "matched_stars": {"estimate": 20 * frames, "baseline": 11 * frames},
+            "stars_rejected": 17,
+            "step_to_optimum_sd": 0.143,
+            "linearised_anew": 55,
+            "events": [
+                {
+                    "frame_id": 37,
+                    "time_utc": "2026-01-05T01:48:00.000Z",
+                    "event": "fewer stars matched",
+                }
+            ],
+            "on_baseline": False,
+            "temperature": {
+                "reference_c": 20.0,
+                "range_c": [12.0, 28.01],
+                "frames_without": 2,
+                "twice_log_evidence": 412.34,
+                "needed": 10.0,
+                "chosen": True,
+                "slopes_per_k": {"f_m": {"value": 2.0027e-6, "sd": 7.8e-9}},
+            },
+            "history": _filter_history(frames, np.random.default_rng(seed)),
+        },
+    }
+
+
+def _filter_history(frames: int, random: np.random.Generator) -> dict[str, Any]:
+    shown = np.arange(0, frames, max(1, math.ceil(frames / 600)))
+    spread = 1.0 / np.sqrt(1.0 + shown)
+    stars = random.poisson(20, len(shown))
+    start = np.datetime64("2026-01-05T00:00:00.000")
+    return {
+        "time_utc": [f"{start + int(k) * np.timedelta64(180_000, 'ms')}Z" for k in shown],
+        "frame_id": (shown + 1).tolist(),
+        "parameters": {
+            name: {
+                "value": (fitted + 20.0 * sd * spread * random.normal(size=len(shown))).tolist(),
+                "sd": (20.0 * sd * spread).tolist(),
+            }
+            for name, _, fitted, sd, _ in PARAMETERS
+        },
+        "nis_per_arc": (1.5 * random.chisquare(40, len(shown)) / 40).tolist(),
+        "arcs": (2 * stars).tolist(),
+        "noise_scale": np.full(len(shown), 1.22).tolist(),
+        "matched": stars.tolist(),
+        "matched_baseline": (stars // 2).tolist(),
+        "on_baseline": ((shown > 36) & (shown < 61)).tolist(),
     }
 
 

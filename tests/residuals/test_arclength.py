@@ -70,7 +70,9 @@ def test_no_three_stars_in_sequence_are_collinear(bound):
     for k in range(len(bound.pair_i) - 1):
         same = bound.starts[k] == bound.starts[k + 1] and bound.pair_i[k] == bound.pair_i[k + 1]
         if same:
-            flat.append(np.sqrt(flatness2(s, bound.pair_i[k], bound.pair_j[k], bound.pair_j[k + 1])))
+            flat.append(
+                np.sqrt(flatness2(s, bound.pair_i[k], bound.pair_j[k], bound.pair_j[k + 1]))
+            )
     assert np.median(flat) > 0.3
     assert np.mean(np.array(flat) < 0.02) < 0.01
 

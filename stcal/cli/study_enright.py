@@ -1,0 +1,91 @@
+"""``stcal study enright``: the tests of Enright, Jovanovic & Vaz 2018 on simulated sensors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from stcal.cli.inputs import JSON, OUT, WORKERS
+from stcal.cli.output import emit, progress
+from stcal.cli.paths import output_folder
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+DOCUMENT, REPORT = "study.json", "report.html"
+
+
+@click.command(name="enright")
+@OUT
+@click.option(
+    "--scenarios",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("configs/scenarios"),
+    show_default=True,
+    help="Folder of the sensors' scenarios st16-1.toml to st16-6.toml.",
+)
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the simulation."
+)
+@click.option(
+    "--sensors", default="1,2,3,4,5,6", show_default=True, help="The paper's sensors to run."
+)
+@click.option(
+    "--frames",
+    type=click.IntRange(min=20),
+    help="Calibration frames of each sensor, half as many for validation; the scenarios' own "
+    "without it.",
+)
+@WORKERS
+@JSON
+def command(
+    out: Path,
+    scenarios: Path,
+    seed: int,
+    sensors: str,
+    frames: int | None,
+    workers: int,
+    as_json: bool,
+) -> None:
+    """Repeat Enright, Jovanovic & Vaz 2018 on simulated sensors.
+
+    Writes study.json and report.html into --out: Tables III to VII and Figures 3 to 5 with the
+    paper's values beside, and which of its findings hold.
+    """
+    from stcal.cli.fit import write_documents
+    from stcal.execution import scheduler
+    from stcal.simulate import load_scenario
+    from stcal.studies.enright import STEPS, run_study
+    from stcal.studies.scenarios import shortened
+
+    chosen = _numbers(sensors)
+    output_folder(out)
+    found = {n: shortened(load_scenario(scenarios / f"st16-{n}.toml"), frames) for n in chosen}
+    total = STEPS * len(found)
+    with scheduler(workers) as mapper, progress("study enright", total=total) as bar:
+        document = run_study(found, seed, mapper, bar.advance)
+    write_documents(document, out / DOCUMENT, out / REPORT)
+    emit(document, as_json, lambda console: _tables(document, out / REPORT, console))
+
+
+def _numbers(sensors: str) -> list[int]:
+    from stcal.errors import UsageError
+    from stcal.studies.enright_paper import SENSORS
+
+    known = {str(number): number for number in SENSORS}
+    named = [item.strip() for item in sensors.split(",")]
+    unknown = [item for item in named if item not in known]
+    if unknown or len(set(named)) != len(named):
+        raise UsageError(f"--sensors {sensors!r}: give each of {', '.join(known)} at most once")
+    return [known[item] for item in named]
+
+
+def _tables(document: dict[str, Any], report: Path, console: Console) -> None:
+    from rich.text import Text
+
+    from stcal.report.tables import enright_tables
+
+    enright_tables(document, console)
+    console.print(Text(f"report: {report}"))
