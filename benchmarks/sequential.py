@@ -53,13 +53,13 @@ def own_updates() -> dict:
     jacobian, y, sd = problem()
     rows = np.column_stack([jacobian, y])
     functions = {}
+    innovation, score = np.empty(MEASUREMENTS), np.empty(2)
     for name, estimator in SEQUENTIAL.items():
         root = np.ascontiguousarray(estimator.root(sd))
         start, x = root.copy(), np.zeros(STATES)
         points = np.empty((2 * STATES + 1, STATES))
         sigma_points(x, root, points)
         values = np.ascontiguousarray(jacobian @ points.T - y[:, None])
-        innovation, score = np.empty(MEASUREMENTS), np.empty(2)
         for precision, steps in estimator.steps.items():
 
             def update(steps=steps, root=root, start=start, x=x, values=values):
