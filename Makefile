@@ -38,6 +38,7 @@ bench: $(VENV)/.bench
 
 study: $(VENV)/.installed
 	$(BIN)/python benchmarks/study.py --runs 50 --json study/study.json
+	$(BIN)/python benchmarks/consistency.py --json study/consistency.json
 	$(BIN)/stcal study enright --out study/enright
 	$(BIN)/stcal study tracking --out study/tracking
 
