@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from stcal.errors import UsageError
+from stcal.errors import InputError, UsageError
 
 if TYPE_CHECKING:
     from stcal.calibration import Calibration
@@ -91,7 +91,7 @@ class FilterOptions:
             precision=self.precision,
             matches=matches,
             rematch=not self.no_rematch,
-            process_noise=_process_noise(self.process_noise, config),
+            process_noise=_process_noise(self.process_noise, names, config),
             parameters=names,
             temperature=tuple(t.strip() for t in (self.temperature or "").split(",") if t.strip()),
             shadow=not self.no_shadow,
@@ -124,10 +124,13 @@ class FilterOptions:
 
         states = load_state(self.state, setting)
         names = {n: history if n == "constant" else f"{n}-{history}" for n in states}
-        return states, {
-            name: read_history(self.state.parent / names[name], len(state.x))
-            for name, state in states.items()
-        }
+        histories = {}
+        for name, state in states.items():
+            path = self.state.parent / names[name]
+            histories[name] = read_history(path, len(state.x))
+            if int(histories[name].frame_id[-1]) != state.last_frame_id:
+                raise InputError(f"{path}: does not end with the frame that {self.state} ends with")
+        return states, histories
 
 
 def filter_options(function: F) -> F:
@@ -154,7 +157,9 @@ def filter_options(function: F) -> F:
     return command  # type: ignore[return-value]
 
 
-def _process_noise(text: str, config: SensorConfig) -> dict[str, float]:
+def _process_noise(
+    text: str, estimated: tuple[str, ...] | None, config: SensorConfig
+) -> dict[str, float]:
     """Return the random walk by parameter, empty for none.
 
     Raises
@@ -177,6 +182,10 @@ def _process_noise(text: str, config: SensorConfig) -> dict[str, float]:
         name, _, value = part.partition("=")
         if name.strip() not in names:
             raise UsageError(f"--process-noise: {name.strip()!r} is not one of {', '.join(names)}")
+        if name.strip() in found:
+            raise UsageError(f"--process-noise: {name.strip()} is given twice")
+        if estimated is not None and name.strip() not in estimated:
+            raise UsageError(f"--process-noise: {name.strip()} is held fixed")
         found[name.strip()] = _number(value)
     return found
 

@@ -118,6 +118,13 @@ def check_variant(variant: Variant) -> None:
         raise UsageError("telemetered matches are fixed: give --no-rematch with them")
     if variant.precision not in estimator.steps:
         raise UsageError(f"{variant.method} has no {variant.precision} precision")
+    held = (
+        []
+        if variant.parameters is None
+        else [name for name in variant.temperature if name not in variant.parameters]
+    )
+    if held:
+        raise UsageError(f"held fixed, so not to depend on temperature: {', '.join(held)}")
     if estimator.constant and any((variant.process_noise or {}).values()):
         raise UsageError(f"{variant.method} takes parameters as constants: no process noise")
 

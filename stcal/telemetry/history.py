@@ -21,6 +21,17 @@ _PLAIN = ("frame_id", "nis", "log_determinant", "arcs", "noise_scale", "fixed", 
           "matched", "matched_baseline", "rejected", "iterations", "on_baseline")  # fmt: skip
 
 
+_NULLABLE = ("nis", "log_determinant", "temperature_c")
+_KINDS: dict[str, pa.DataType] = {
+    **dict.fromkeys(("frame_id", "t_tai_ns", "arcs", "matched", "matched_baseline", "rejected",
+                     "iterations"), pa.int64()),
+    **dict.fromkeys(("noise_scale", *_NULLABLE), pa.float64()),
+    **dict.fromkeys(("fixed", "fixed_baseline", "on_baseline"), pa.bool_()),
+    "innovations": pa.list_(pa.float64()),
+    "event": pa.string(),
+}  # fmt: skip
+
+
 def write_history(history: FrameHistory, chosen: Filter, path: Path) -> None:
     """Write a history.
 
@@ -74,13 +85,10 @@ def read_history(path: Path, states: int) -> FrameHistory:
     """
     with reading(path, "history of a filter") as file:
         table = file.read()
-    missing = [n for n in (*_PLAIN, "t_tai_ns", "innovations", "event", "state", "state_sd")
-               if n not in table.column_names]  # fmt: skip
-    if missing:
-        raise InputError(f"{path}: damaged history of a filter: no column {', '.join(missing)}")
+    _check(table, states, path)
     columns: dict[str, Any] = {name: _numpy(table, name) for name in _PLAIN}
     listed = table.column("innovations").combine_chunks()
-    x, sd = (_states(table, name, states, path) for name in ("state", "state_sd"))
+    x, sd = (_states(table, name) for name in ("state", "state_sd"))
     return FrameHistory(
         **columns,
         t_tai_ns=_numpy(table, "t_tai_ns"),
@@ -97,8 +105,32 @@ def _numpy(table: pa.Table, name: str) -> Any:
     return table.column(name).to_numpy()
 
 
-def _states(table: pa.Table, name: str, states: int, path: Path) -> Floats:
+def _states(table: pa.Table, name: str) -> Floats:
     column = table.column(name).combine_chunks()
-    if column.type.list_size != states:
-        raise InputError(f"{path}: has {column.type.list_size} states, this filter {states}")
-    return np.asarray(column.flatten().to_numpy(zero_copy_only=False)).reshape(-1, states)
+    rows: Floats = column.flatten().to_numpy(zero_copy_only=False)
+    return rows.reshape(-1, column.type.list_size)
+
+
+def _check(table: pa.Table, states: int, path: Path) -> None:
+    """Refuse a table that :func:`write_history` didn't write for so many states.
+
+    Raises
+    ------
+    InputError
+        Naming the file and the column.
+    """
+    kinds = _KINDS | dict.fromkeys(("state", "state_sd"), pa.list_(pa.float64(), states))
+    for name, kind in kinds.items():
+        if name not in table.column_names:
+            raise InputError(f"{path}: damaged history of a filter: no column {name}")
+        column = table.column(name)
+        if name == "state" and getattr(column.type, "list_size", states) != states:
+            raise InputError(f"{path}: has {column.type.list_size} states, this filter {states}")
+        if column.type != kind:
+            raise InputError(f"{path}: column {name} is {column.type}, not {kind}")
+        if column.null_count and name not in _NULLABLE:
+            raise InputError(f"{path}: damaged history of a filter: column {name} has gaps")
+    unknown = set(table.column("event").to_pylist()) - set(EVENTS)
+    if unknown or not table.num_rows:
+        what = f"unknown event {min(unknown)!r}" if unknown else "no rows"
+        raise InputError(f"{path}: damaged history of a filter: {what}")
