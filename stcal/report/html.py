@@ -160,8 +160,9 @@ def _way_items(document: Document) -> tuple[Table | Picture, ...]:
         Picture(
             "Convergence",
             "Each parameter's departure from its last value, in units of its sd at the end (given "
-            "above each panel). Grey: within 3 sd as the filter knew it at that frame. The scale "
-            "is linear within 3 sd and logarithmic beyond; frames are spaced by their root.",
+            "above each panel). Grey: within 3 sd as the filter knew it at that frame; a parameter "
+            "with process noise may leave it by moving. The scale is linear within 3 sd and "
+            "logarithmic beyond; frames are spaced by their root.",
             (filter_figures.convergence(document, "fit-convergence"),),
         ),
         Picture(

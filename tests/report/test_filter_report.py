@@ -155,6 +155,20 @@ def test_convergence_is_in_units_of_the_last_sd(monkeypatch: pytest.MonkeyPatch)
     assert trace.label == "f: 0.00200 ± 0.00020 mm"
 
 
+def test_convergence_band_is_three_sd(monkeypatch: pytest.MonkeyPatch) -> None:
+    bands: list[Any] = []
+
+    def seen(_: Any, x: Any, low: Any, high: Any, **others: Any) -> None:
+        bands.append((low, high))
+
+    monkeypatch.setattr("matplotlib.axes.Axes.fill_between", seen)
+    document = sequential_document()
+    history = document["sequential"]["history"]
+    history["parameters"] = {"f_m": {"value": [3e-6, 2e-6], "sd": [4e-7, 2e-7]}}
+    filter_figures.convergence(document, "n")
+    np.testing.assert_allclose(bands[0], [[-6.0, -3.0], [6.0, 3.0]])
+
+
 def test_convergence_names_every_parameter() -> None:
     shown = texts(filter_figures.convergence(sequential_document(), "n"))
     for symbol in ("f: ", "m0: ", "b4: ", "g_y: "):

@@ -17,7 +17,7 @@ from stcal.cli import main
 from stcal.errors import UsageError
 from stcal.pipeline.filtering import Variant
 from stcal.pipeline.sequential import fit_sequential
-from stcal.report import html
+from stcal.report import html, tracking_content
 from stcal.report.tables import tracking_tables
 from stcal.simulate import load_scenario
 from stcal.studies import tracking
@@ -323,6 +323,31 @@ def test_report_shows_tables_figures_and_findings(study: dict[str, Any]) -> None
     assert f"{100 * q['within_3sd']:.1f} %" in page
     assert f"{1e6 * q['rms']:.2f}" in page
     assert page == html.RENDERERS["stcal.study.tracking/1"](json.loads(json.dumps(study)))
+
+
+def test_tables_show_the_figures_in_their_columns() -> None:
+    figures = {"within_3sd": 0.9, "within_1sd": 0.5, "rms": 2e-6, "rms_z": 1.25}
+    variant = {
+        "parameters": {"f_m": figures},
+        "following": {"f_m": {"part": 0.99, "lag_s": [30.0, 36.0]}},
+        "back_after": {"f_m": [4, 7], "m0_px": [None, 3]},
+        "rms_urad": 81.0,
+        "rms_ratio": 1.05,
+        "fallbacks": 2,
+    }
+    lost = {**variant, "following": {"f_m": {"part": 0.1, "lag_s": [900.0, 950.0]}}}
+    case = {"variants": {"q": variant, "no_q": lost}, "sigma": {"f_m": 8e-6}}
+    document = {"cases": {"drift": case, "step": case}}
+    _, no_q, q = tracking_content.drift_table(document).rows
+    assert q == ("Q", "90.0 %", "50.0 %", "2.00", "1.25", "99.0 %", "33 ± 3", "81.0", "1.050", "2")
+    assert no_q[0] == "No-Q"
+    assert no_q[6] == "–"
+    assert tracking_content.parameter_table(document, "drift").rows == (
+        ("f", "90.0 % / 50.0 %", "90.0 % / 50.0 %"),
+    )
+    step = tracking_content.step_table(document).rows[-1]
+    assert step[1:4] == ("4 to 7", "90.0 %", "2.00")
+    assert step[4] == "3 to never"
 
 
 @pytest.mark.parametrize("junk", [None, "text", 3, True, [1, "x", None], {"a": [{}]}, -1e308])
