@@ -15,14 +15,14 @@ from pathlib import Path
 
 import numpy as np
 from scipy.optimize import least_squares
+from study import ROOT, make_matcher
 
 from stcal.execution import serial
 from stcal.matching import match
 from stcal.pipeline.cycles import solve
 from stcal.pipeline.parameters import parameter_scale
-from stcal.residuals import RESIDUALS, select_stars
+from stcal.residuals import bind_arclength, select_stars
 from stcal.simulate import load_scenario, scenario_with, simulate
-from study import ROOT, make_matcher
 
 
 def median_time(function, runs: int) -> tuple[float, object]:
@@ -48,7 +48,7 @@ def estimator(frames_wanted: int) -> dict:
     scale = parameter_scale(matcher.config, initial.camera.parameter_names)
 
     def ours():
-        bound = [RESIDUALS["arclength"](stars, initial.camera)]
+        bound = [bind_arclength(stars, initial.camera)]
         return bound, solve(bound, initial.camera, scale, np.arange(8), serial)
 
     ours()

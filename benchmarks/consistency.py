@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 from scipy.stats import chi2
+from study import ROOT, make_matcher
 
 from stcal.matching import match
 from stcal.pipeline.filter_run import run_filter
 from stcal.pipeline.filtering import Variant, make_filter
 from stcal.pipeline.parameters import parameter_scale
 from stcal.simulate import load_scenario, scenario_with, simulate
-from study import ROOT, make_matcher
 
 CLEAN = {
     "noise__sd_px": 0.4,

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
+from study import ROOT, make_matcher
 
 from stcal.estimators.filter_kernels import sigma_points
 from stcal.estimators.sequential import SEQUENTIAL
@@ -20,7 +21,6 @@ from stcal.matching import match
 from stcal.pipeline.filter_run import filter_fragment
 from stcal.pipeline.filtering import Variant, make_filter, process_noise_of
 from stcal.simulate import load_scenario, scenario_with, simulate
-from study import ROOT, make_matcher
 
 STATES, MEASUREMENTS, CALLS, ROUNDS = 8, 21, 500, 15
 

@@ -12,7 +12,7 @@ from stcal.metrics import (
     residual_vectors,
     root_ratio,
 )
-from stcal.residuals import RESIDUALS, select_stars
+from stcal.residuals import bind_arclength, select_stars
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +20,7 @@ def scene():
     data = simulation(4, 24, 60)
     matched = match(data.calibration.frames, data.true.camera, np.eye(3), st16_matcher())
     selection = select_stars(matched, st16_config().noise, 4)
-    return data, matched, RESIDUALS["arclength"](selection, data.true.camera)
+    return data, matched, bind_arclength(selection, data.true.camera)
 
 
 def test_rms_is_the_plain_root_mean_square(scene):

@@ -32,6 +32,8 @@ RayMap = Callable[[Floats, float, Floats, Floats], Ray]
 RayJacobian = Callable[[Floats, float, Floats, Floats], RayDerivatives]
 # (parameters (P,) or (P, S), pixel size, s_d (S, 3)) -> (m, n), a start for the inverse
 PixelGuess = Callable[[Floats, float, Floats], tuple[Floats, Floats]]
+# (focal length, row and column of the principal point) -> parameters of a plain pinhole
+Undistorted = Callable[[float, float, float], Floats]
 
 _INVERSE_TOLERANCE_PX = 1e-11
 _INVERSE_ITERATIONS = 50
@@ -47,6 +49,7 @@ class CameraModel:
     ray: RayMap
     ray_jacobian: RayJacobian
     pixel_guess: PixelGuess
+    undistorted: Undistorted
     reference: str
 
 

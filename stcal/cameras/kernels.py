@@ -8,9 +8,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from stcal.cameras import wang_kernels
+from stcal.cameras import pinhole_radial_kernels, pixel_radial_kernels, wang_kernels
 from stcal.cameras.unit_kernels import CAMERA_SIGNATURE
 
-CAMERA_KERNELS: dict[str, Any] = {"wang": wang_kernels.evaluate}
+CAMERA_KERNELS: dict[str, Any] = {
+    "wang": wang_kernels.evaluate,
+    "pinhole-radial": pinhole_radial_kernels.evaluate,
+    "pixel-radial": pixel_radial_kernels.evaluate,
+}
 
 __all__ = ["CAMERA_KERNELS", "CAMERA_SIGNATURE"]

@@ -96,11 +96,17 @@ def pixel_guess(x: Floats, pixel_size_m: float, s_d: Floats) -> tuple[Floats, Fl
     return m0 + U * scale / pixel_size_m, n0 + V * scale / (g_y * pixel_size_m)
 
 
+def undistorted(f_m: float, m0_px: float, n0_px: float) -> Floats:
+    """Return the parameters of a plain pinhole with this principal point."""
+    return np.array([f_m, m0_px, n0_px, 0.0, 0.0, 0.0, 0.0, 1.0])
+
+
 WANG = CameraModel(
     name="wang",
     parameter_names=PARAMETER_NAMES,
     ray=ray,
     ray_jacobian=ray_jacobian,
     pixel_guess=pixel_guess,
+    undistorted=undistorted,
     reference="Enright, Jovanovic & Vaz 2018, eqs (1)-(8), Appendix B",
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import wraps
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from stcal.pipeline.filter_run import FrameHistory
     from stcal.pipeline.filter_state import FilterState
     from stcal.pipeline.filtering import Variant
+    from stcal.residuals import Residual
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -82,7 +84,13 @@ class FilterOptions:
         if self.method == "smoother" and self.state is not None:
             raise UsageError("smoother goes through all frames again: it has no --state")
 
-    def variant(self, matches: str, names: tuple[str, ...] | None, config: SensorConfig) -> Variant:
+    def variant(
+        self,
+        matches: str,
+        names: tuple[str, ...] | None,
+        residual: Residual,
+        config: SensorConfig,
+    ) -> Variant:
         """Return the filter that the options describe."""
         from stcal.pipeline.filtering import Variant
 
@@ -95,6 +103,7 @@ class FilterOptions:
             parameters=names,
             temperature=tuple(t.strip() for t in (self.temperature or "").split(",") if t.strip()),
             shadow=not self.no_shadow,
+            residual=residual,
         )
 
     def setting(
@@ -102,10 +111,8 @@ class FilterOptions:
     ) -> dict[str, Any]:
         """Return what must be the same for a run to go on from its state."""
         hashes = ("config_sha256", "catalogue_sha256", "parent_sha256")
-        described = {
-            key: list(value) if isinstance(value, tuple) else value
-            for key, value in asdict(variant).items()
-        }
+        # As the file gives it back: lists for tuples.
+        described: dict[str, Any] = json.loads(json.dumps(asdict(variant)))
         return (
             {"sensor_id": parent.sensor_id} | described | {key: provenance[key] for key in hashes}
         )

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from stcal.calibration import Calibration
+    from stcal.residuals import Residual
 
 FITTED, DOCUMENT, REPORT = "calibration.json", "fit.json", "report.html"
 STATE, HISTORY = "state.json", "history.parquet"
@@ -39,6 +40,16 @@ STATE, HISTORY = "state.json", "history.parquet"
     help="Where the star matches come from (batch: those of the first cycle).",
 )
 @click.option("--parameters", help="Parameters to estimate, e.g. f_m,m0_px,n0_px; all by default.")
+@click.option(
+    "--residual",
+    "residual_name",
+    type=click.Choice(["arclength", "direction", "singular-values", "cosine"]),
+    default="arclength",
+    show_default=True,
+    help="What the camera is fitted to.",
+)
+@click.option("--groups", type=int, help="Star groups of singular-values, 1 to 4; 4 by default.")
+@click.option("--values", help="Which of the three singular values are used; 2,3 by default.")
 @OUT
 @store_options
 def command(
@@ -47,6 +58,9 @@ def command(
     initial: Path,
     matches: str,
     parameters: str | None,
+    residual_name: str,
+    groups: int | None,
+    values: str | None,
     out: Path,
     selection: Selection,
     workers: int,
@@ -68,13 +82,14 @@ def command(
     parent = load(initial)
     inputs = read_inputs(selection)
     inputs = replace(inputs, provenance=inputs.provenance | {"parent_sha256": sha256_of(initial)})
+    residual = _residual(residual_name, groups, values)
     names = None if parameters is None else tuple(p.strip() for p in parameters.split(","))
     label = f"fit {selection.sensor}"
     if batch:
-        document, calibration = _batch(inputs, parent, matches, names, workers, label)
+        document, calibration = _batch(inputs, parent, matches, names, residual, workers, label)
     else:
         document, calibration = _sequential(
-            inputs, parent, matches, names, workers, label, filtering, out
+            inputs, parent, matches, names, residual, workers, label, filtering, out
         )
     _write(document, calibration, out)
     if calibration is None:
@@ -86,11 +101,36 @@ def command(
     emit(document, as_json, lambda console: _tables(document, console))
 
 
+def _residual(name: str, groups: int | None, values: str | None) -> Residual:
+    """Return the residual that the options describe.
+
+    Raises
+    ------
+    UsageError
+    """
+    from stcal.errors import UsageError
+    from stcal.residuals import Residual
+
+    residual = Residual(name)
+    if name != "singular-values" and not (groups is None and values is None):
+        raise UsageError("--groups and --values belong to --residual singular-values")
+    if groups is not None:
+        residual = replace(residual, groups=groups)
+    if values is not None:
+        try:
+            residual = replace(residual, values=tuple(int(v) for v in values.split(",")))
+        except ValueError:
+            raise UsageError(f"--values {values!r} is not a list such as 2,3") from None
+    residual.check()
+    return residual
+
+
 def _batch(
     inputs: Inputs,
     parent: Calibration,
     matches: str,
     names: tuple[str, ...] | None,
+    residual: Residual,
     workers: int,
     label: str,
 ) -> tuple[dict[str, Any], Calibration | None]:
@@ -100,8 +140,8 @@ def _batch(
     limit = inputs.matcher.config.fit.maximum_cycles
     with scheduler(workers) as mapper, progress(label, total=limit) as bar:
         result = fit_batch(
-            inputs.batches, parent, inputs.matcher, inputs.provenance, matches, names, mapper,
-            lambda cycle: bar.advance(),
+            inputs.batches, parent, inputs.matcher, inputs.provenance, matches, names, residual,
+            mapper, lambda cycle: bar.advance(),
         )  # fmt: skip
     return result.document, result.calibration
 
@@ -111,6 +151,7 @@ def _sequential(
     parent: Calibration,
     matches: str,
     names: tuple[str, ...] | None,
+    residual: Residual,
     workers: int,
     label: str,
     filtering: FilterOptions,
@@ -121,7 +162,7 @@ def _sequential(
     from stcal.pipeline.sequential import fit_sequential
     from stcal.telemetry.history import write_history
 
-    variant = filtering.variant(matches, names, inputs.matcher.config)
+    variant = filtering.variant(matches, names, residual, inputs.matcher.config)
     setting = filtering.setting(variant, parent, inputs.provenance)
     states, before = filtering.earlier(setting, HISTORY)
     with scheduler(workers) as mapper, progress(label, total=len(inputs.batches)) as bar:

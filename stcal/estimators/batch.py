@@ -50,6 +50,9 @@ def levenberg_marquardt(linearise: Linearise, start: Floats, scale: Floats) -> B
     here = scaled(linearise(x), scale)
     damping, accepted, converged = _DAMPING_START, 0, False
     for _ in range(_ITERATIONS):
+        # LAPACK prints on standard output when it is handed NaN.
+        if not (np.isfinite(here.root).all() and np.isfinite(here.projected).all()):
+            break
         step = _damped_step(here, damping)
         # The undamped length decides on convergence, or heavy damping would feign it.
         small = _in_sd(here, _damped_step(here, 0.0)) < _STEP_SD

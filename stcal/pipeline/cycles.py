@@ -19,8 +19,7 @@ from stcal.frames import FrameBatch, MatchedFrames
 from stcal.matching import Matcher, match
 from stcal.matching.identify import rematch_given, telemetered_matches
 from stcal.pipeline.parameters import parameter_scale
-from stcal.residuals import RESIDUALS
-from stcal.residuals.arclength import BoundArclength
+from stcal.residuals import BoundArclength, BoundResidual, Residual, bind_arclength
 from stcal.residuals.selection import (
     StarSelection,
     reject_outliers,
@@ -44,12 +43,17 @@ class Cycle:
 
     matching: str
     matched: list[MatchedFrames]
-    bound: list[BoundArclength]
+    bound: list[BoundResidual]
     solution: BatchSolution
     camera: Camera
     noise_scale: float
     rejected: int
     changed: int
+
+    @property
+    def arcs(self) -> list[BoundArclength]:
+        """The arclengths of the stars used, whatever they were fitted by: for figures."""
+        return [arcs_of(b, self.camera) for b in self.bound]
 
     @property
     def matched_stars(self) -> int:
@@ -62,6 +66,7 @@ def run_cycles(
     initial: Calibration,
     matcher: Matcher,
     matches: str,
+    residual: Residual,
     free: Ints,
     mapper: OrderedMap,
     on_cycle: Callable[[Cycle], None],
@@ -84,7 +89,7 @@ def run_cycles(
         task = partial(_match_one, camera=camera, c_sd=initial.c_sd, matcher=matcher, method=method)
         matched = list(mapper(task, items))
         changed = _changes(previous, matched)
-        cycle = _fit_matched(matched, camera, config, free, mapper, method, changed)
+        cycle = _fit_matched(matched, camera, config, residual, free, mapper, method, changed)
         cycles.append(cycle)
         on_cycle(cycle)
         if not np.isfinite(cycle.camera.parameters).all() or not cycle.bound:
@@ -128,6 +133,7 @@ def _fit_matched(
     matched: list[MatchedFrames],
     camera: Camera,
     config: SensorConfig,
+    residual: Residual,
     free: Ints,
     mapper: OrderedMap,
     matching: str,
@@ -143,7 +149,7 @@ def _fit_matched(
         kept = without_outliers(everything, camera, config, mapper)
         if kept_before is not None and _same(kept_before, kept):
             break
-        bound = list(mapper(partial(RESIDUALS["arclength"], camera=camera), kept))
+        bound = list(mapper(partial(residual.bind, camera=camera), kept))
         solution = solve(bound, camera, scale, free, mapper)
         camera, kept_before = with_estimated(camera, free, solution.parameters), kept
     kept_before = kept_before or []
@@ -159,6 +165,11 @@ def _fit_matched(
         rejected=total - used,
         changed=changed,
     )
+
+
+def arcs_of(bound: BoundResidual, camera: Camera) -> BoundArclength:
+    """Return the arclengths of a residual's stars."""
+    return bound if isinstance(bound, BoundArclength) else bind_arclength(bound.selection, camera)
 
 
 def without_outliers(
@@ -188,7 +199,7 @@ def with_estimated(camera: Camera, free: Ints, values: Floats) -> Camera:
 
 
 def solve(
-    bound: Sequence[BoundArclength], camera: Camera, scale: Floats, free: Ints, mapper: OrderedMap
+    bound: Sequence[BoundResidual], camera: Camera, scale: Floats, free: Ints, mapper: OrderedMap
 ) -> BatchSolution:
     """Run the batch estimator over fragments of whitened residuals, for parameters ``free``."""
 
@@ -199,12 +210,12 @@ def solve(
 
 
 def information_at(
-    bound: Sequence[BoundArclength], camera: Camera, free: Ints, mapper: OrderedMap
+    bound: Sequence[BoundResidual], camera: Camera, free: Ints, mapper: OrderedMap
 ) -> SquareRootInformation:
     """Return the merged factor of [H | r] at a camera, for parameters ``free``."""
     return merge(mapper(partial(_reduce, camera=camera, free=free), bound))
 
 
-def _reduce(bound: BoundArclength, camera: Camera, free: Ints) -> SquareRootInformation:
+def _reduce(bound: BoundResidual, camera: Camera, free: Ints) -> SquareRootInformation:
     rows = bound.linearise(camera)
     return reduce_rows(rows[:, np.append(free, rows.shape[1] - 1)], bound.rows)

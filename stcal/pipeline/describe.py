@@ -19,6 +19,7 @@ from stcal.pipeline.cycles import Cycle
 from stcal.pipeline.estimate import Estimate, Solution
 from stcal.pipeline.numbers import number, numbers
 from stcal.pipeline.views import residual_views, series
+from stcal.residuals import Residual
 from stcal.times import format_utc
 from stcal.units import unit_of
 from stcal.version import __version__
@@ -80,8 +81,12 @@ def fit_document(
     selections = [bound.selection for bound in solution.bound]
     return {
         **header("stcal.fit/1", initial.sensor_id),
-        "residual": "arclength",
-        "verdict": {"accepted": not refusals, "reasons": refusals, "notes": notes(batches)},
+        "residual": _residual(solution.residual),
+        "verdict": {
+            "accepted": not refusals,
+            "reasons": refusals,
+            "notes": notes(batches) + _residual_notes(solution.residual),
+        },
         "frames": sum(b.n_frames for b in batches),
         "frames_solved": {
             "initial": sum(int(m.frame_solved.sum()) for m in estimate.baseline),
@@ -94,8 +99,8 @@ def fit_document(
         "exposures_used": sum(s.n_exposures for s in selections),
         "stars_used": sum(len(s.star) for s in selections),
         "stars_rejected": solution.rejected,
-        "arcs": solution.information.rows,
-        "arcs_dependent": sum(b.dependent for b in solution.bound),
+        "residuals": solution.information.rows,
+        "residuals_dependent": solution.dependent,
         "span": span_of(batches),
         "parameters": _parameters(solution, initial, matcher),
         "estimated_parameters": solution.estimated_names,
@@ -124,6 +129,23 @@ def fit_document(
     }  # fmt: skip
 
 
+def _residual(residual: Residual) -> str:
+    if residual.name != "singular-values":
+        return residual.name
+    used = ",".join(map(str, residual.values))
+    return f"{residual.name}, groups {residual.groups}, values {used}"
+
+
+def _residual_notes(residual: Residual) -> list[str]:
+    """Return what the covariance leaves out."""
+    if residual.name != "cosine":
+        return []
+    return [
+        "cosines of pairs that share a star are taken as independent, as published: the sd are "
+        "too small"
+    ]
+
+
 def notes(batches: Sequence[FrameBatch]) -> list[str]:
     """Return what a reader of the result should know about the telemetry."""
     unknown = sum(int((~np.isfinite(b.vel_km_s).all(axis=1)).sum()) for b in batches)
@@ -137,8 +159,9 @@ def notes(batches: Sequence[FrameBatch]) -> list[str]:
 
 def quality(document: dict[str, Any]) -> dict[str, Any]:
     """Return the part of a fit's document that the calibration file carries."""
-    keys = ("method", "verdict", "frames", "exposures_used", "stars_used", "arcs", "rms_urad",
-            "estimated_parameters", "noise", "coverage", "condition", "observability")  # fmt: skip
+    keys = ("method", "verdict", "frames", "exposures_used", "stars_used", "residual", "residuals",
+            "rms_urad", "estimated_parameters", "noise", "coverage", "condition",
+            "observability")  # fmt: skip
     alignment = {k: v for k, v in document["c_sd"].items() if k != "matrix"}
     return {key: document[key] for key in keys} | {"c_sd": alignment}
 
@@ -150,8 +173,8 @@ def _cycle(cycles: Sequence[Cycle], k: int, solution: Solution) -> dict[str, Any
     moved = None
     if before is not None and np.isfinite(sd).all():
         moved = number(float(np.max(np.abs(cycle.camera.parameters[free] - before) / sd)))
-    squares = sum(float((b.departures(cycle.camera) ** 2).sum()) for b in cycle.bound)
-    arcs = sum(len(b.arc) for b in cycle.bound)
+    squares = sum(float((b.departures(cycle.camera) ** 2).sum()) for b in cycle.arcs)
+    arcs = sum(len(b.arc) for b in cycle.arcs)
     return {
         "cycle": k + 1,
         "matching": cycle.matching,

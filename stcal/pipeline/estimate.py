@@ -21,7 +21,7 @@ from stcal.matching.identify import rematch_given
 from stcal.metrics import coverage, pair_sums
 from stcal.pipeline.alignment import Alignment, update_alignment
 from stcal.pipeline.parameters import parameter_scale
-from stcal.residuals.arclength import BoundArclength
+from stcal.residuals import BoundArclength, Residual
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -33,10 +33,12 @@ class Solution:
 
     Attributes
     ----------
-    matched, bound : the final matches and their arcs, fragment by fragment
+    matched, bound : the final matches and their arclengths, fragment by fragment
     camera : the fitted camera
     free : (K,) places of the estimated parameters, rising
-    information : factor of the arcs at the fitted camera, in scaled estimated parameters
+    information : factor of the residuals at the fitted camera, in scaled estimated parameters
+    residual : what was fitted
+    dependent : residuals that carried nothing new
     covariance : (P, P) of the camera's parameters in their own units, zero for those held fixed
     noise_scale : sd of the residuals over the noise model
     rejected : stars left out as outliers
@@ -47,6 +49,8 @@ class Solution:
     camera: Camera
     free: Ints
     information: SquareRootInformation
+    residual: Residual
+    dependent: int
     covariance: Floats
     noise_scale: float
     rejected: int

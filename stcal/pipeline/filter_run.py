@@ -23,6 +23,7 @@ from stcal.pipeline import layout_kernels as layout
 from stcal.pipeline.filter_state import FilterState
 from stcal.pipeline.filtering import Filter
 from stcal.pipeline.pass_kernels import run_pass
+from stcal.residuals.kernels import RESIDUAL_KERNELS
 from stcal.residuals.selection import centroid_sd
 
 Floats = NDArray[np.float64]
@@ -103,6 +104,9 @@ def filter_fragment(
     observer = observer_at(frames.t_tai_ns, frames.pos_km, frames.vel_km_s)
     hints = _hints(chosen, frames)
     warmth = np.nan_to_num(frames.temperature_c - chosen.reference_temperature_c, nan=0.0)
+    residual = RESIDUAL_KERNELS[chosen.residual.name]
+    # The pass fills the table in place; a filter may be used by several threads.
+    model = chosen.model._replace(slope_table=np.empty_like(chosen.model.slope_table))
     for year, stretch in by_year(observer.years):
         first, last = EXPOSURES_PER_FRAME * stretch.start, EXPOSURES_PER_FRAME * stretch.stop
         a, b = frames.star_offsets[first], frames.star_offsets[last]
@@ -116,9 +120,9 @@ def filter_fragment(
             baseline.reason[first:last],
         )  # fmt: skip
         run_pass(
-            CAMERA_KERNELS[chosen.matcher.config.camera.model], chosen.steps.update,
-            chosen.steps.predict, chosen.estimator.covariance, telemetry, given, chosen.model,
-            chosen.rules,
+            CAMERA_KERNELS[chosen.matcher.config.camera.model], residual.bind, residual.rows,
+            chosen.steps.update, chosen.steps.predict, chosen.estimator.covariance, telemetry,
+            given, model, chosen.rules,
             *kernel_input(
                 chosen.matcher.index(year), chosen.matcher.config.matching, frames, first, last
             ),
@@ -158,7 +162,7 @@ def _state_after(mine: layout.State, kept: layout.Kept, frames: FrameBatch) -> F
     return FilterState(
         mine.x, mine.root, mine.base_x, mine.base_root, mine.linearised_at, mine.sloped_at,
         mine.tally, mine.window, kept.star[slots, :stars], kept.c_di[slots], kept.facts[slots],
-        kept.after[slots],        int(frames.t_tai_ns[-1]), int(frames.frame_id[-1]),
+        kept.after[slots], int(frames.t_tai_ns[-1]), int(frames.frame_id[-1]),
     )  # fmt: skip
 
 
@@ -183,7 +187,7 @@ def _empty_history(frames: FrameBatch, n: int) -> layout.History:
         nis=np.empty(count),
         log_determinant=np.empty(count),
         arcs=np.empty(count, np.int64),
-        innovation=np.full(2 * frames.n_stars, np.nan),
+        innovation=np.full(layout.ROOM * frames.n_stars, np.nan),
         innovations=np.empty(count, np.int64),
         noise_scale=np.empty(count),
         fixed=np.empty(count, np.bool_),
@@ -198,15 +202,17 @@ def _empty_history(frames: FrameBatch, n: int) -> layout.History:
 def _stretch_of(history: layout.History, frames: slice, a: int, b: int) -> layout.History:
     """Return views of a stretch of frames, its stars being a..b."""
     views = {name: getattr(history, name)[frames] for name in history._fields}
-    return layout.History(**views | {"innovation": history.innovation[2 * a : 2 * b]})
+    return layout.History(
+        **views | {"innovation": history.innovation[layout.ROOM * a : layout.ROOM * b]}
+    )
 
 
 def _frame_history(
     history: layout.History, frames: FrameBatch, baseline: MatchedFrames
 ) -> FrameHistory:
-    # A frame has room for twice its detections, more than its 2 N - 3 innovations.
+    # A frame has room for more innovations than it can have.
     place = np.arange(len(history.innovation))
-    first = 2 * frames.star_offsets[:-1:EXPOSURES_PER_FRAME]
+    first = layout.ROOM * frames.star_offsets[:-1:EXPOSURES_PER_FRAME]
     frame = np.repeat(np.arange(frames.n_frames), np.diff(np.append(first, len(place))))
     used = place - first[frame] < history.innovations[frame]
     columns = history._asdict() | {"innovation": history.innovation[used]}

@@ -16,6 +16,7 @@ from stcal.pipeline import layout_kernels as layout
 from stcal.pipeline import watch_kernels
 from stcal.pipeline.filter_state import FilterState
 from stcal.pipeline.parameters import estimated_indices, parameter_scale
+from stcal.residuals import ARCLENGTH, Residual
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -37,6 +38,7 @@ class Variant:
     parameters : the parameters to estimate, None for all
     temperature : those that may be linear in temperature
     shadow : fall back to the baseline when the estimate does worse
+    residual : what the camera is fitted to
     """
 
     method: str = "sqrf"
@@ -47,6 +49,7 @@ class Variant:
     parameters: tuple[str, ...] | None = None
     temperature: tuple[str, ...] = ()
     shadow: bool = True
+    residual: Residual = ARCLENGTH
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,7 @@ class Filter:
 
     estimator: SequentialEstimator
     steps: Steps
+    residual: Residual
     matcher: Matcher
     model: layout.Model
     rules: layout.Rules
@@ -120,6 +124,7 @@ def make_filter(
         noise_sd=np.concatenate([noise, np.zeros(len(slopes))]),
         slope_table=camera.noise_slope_table(_SLOPE_NODES),
         linearise_at=np.zeros(len(target)),
+        options=variant.residual.options,
     )
     sd = np.where(
         model.thermal, config.sequential.temperature_sd_sigma, config.sequential.initial_sd_sigma
@@ -127,6 +132,7 @@ def make_filter(
     return Filter(
         estimator=estimator,
         steps=estimator.steps[variant.precision],
+        residual=variant.residual,
         matcher=matcher,
         model=model,
         rules=_rules(variant, estimator, config),

@@ -21,6 +21,7 @@ from stcal.pipeline.cycles import Cycle, run_cycles
 from stcal.pipeline.estimate import Estimate, Solution, estimate_of
 from stcal.pipeline.gates import batch_refusals
 from stcal.pipeline.parameters import embedded, estimated_indices, parameter_scale
+from stcal.residuals import ARCLENGTH, Residual
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -49,6 +50,7 @@ def fit_batch(
     provenance: dict[str, Any],
     matches: str = "lost-in-space",
     parameters: Sequence[str] | None = None,
+    residual: Residual = ARCLENGTH,
     mapper: OrderedMap = serial,
     on_cycle: Callable[[Cycle], None] = lambda cycle: None,
 ) -> FitResult:
@@ -62,15 +64,19 @@ def fit_batch(
     provenance : hashes and time span, stored in the calibration and the document
     matches : where the first cycle's matches come from, ``telemetry`` or a matching method
     parameters : the parameters to estimate, all by default; the others keep their initial values
+    residual : what the camera is fitted to
     mapper : ordered map over the fragments
     on_cycle : told about each finished cycle
     """
     batches = [batch for batch in batches if batch.n_frames]
     check_calibration(initial, matcher.config, batches[0].sensor_id)
+    residual.check()
     free = estimated_indices(parameters, initial.camera.parameter_names)
-    cycles, settled = run_cycles(batches, initial, matcher, matches, free, mapper, on_cycle)
+    cycles, settled = run_cycles(
+        batches, initial, matcher, matches, residual, free, mapper, on_cycle
+    )
     baseline = _baseline(batches, initial, matcher, cycles[0], mapper)
-    solution = _solution(cycles[-1], matcher.config, free)
+    solution = _solution(cycles[-1], matcher.config, residual, free)
     estimate = estimate_of(solution, initial, baseline, matcher, mapper)
     refusals = batch_refusals(estimate, cycles, settled, initial, matcher.config)
     document = describe.batch_document(
@@ -96,7 +102,7 @@ def fitted_calibration(
     )
 
 
-def _solution(cycle: Cycle, config: SensorConfig, free: Ints) -> Solution:
+def _solution(cycle: Cycle, config: SensorConfig, residual: Residual, free: Ints) -> Solution:
     """Return the last cycle as a solution; the noise that the residuals show scales its sd."""
     scale = parameter_scale(config, cycle.camera.parameter_names)[free]
     try:
@@ -106,10 +112,12 @@ def _solution(cycle: Cycle, config: SensorConfig, free: Ints) -> Solution:
     covariance = covariance * np.outer(scale, scale) * cycle.noise_scale**2
     return Solution(
         matched=cycle.matched,
-        bound=cycle.bound,
+        bound=cycle.arcs,
         camera=cycle.camera,
         free=free,
         information=cycle.solution.information,
+        residual=residual,
+        dependent=sum(b.dependent for b in cycle.bound),
         covariance=embedded(covariance, free, len(cycle.camera.parameters)),
         noise_scale=cycle.noise_scale,
         rejected=cycle.rejected,

@@ -14,6 +14,10 @@ from numpy.typing import NDArray
 from stcal.cameras.unit_kernels import CAMERA_SIGNATURE
 from stcal.estimators.pointer_kernels import COVARIANCE, PREDICT, UPDATE
 from stcal.matching.kernels import Rule, Sky, Work
+from stcal.residuals.contract_kernels import BIND, ROWS
+
+# Innovations of a frame are at most so many times its detections: three values of N - 2 groups.
+ROOM = 3
 
 
 class Telemetry(NamedTuple):
@@ -54,6 +58,7 @@ class Model(NamedTuple):
     noise_sd: NDArray[np.float64]
     slope_table: NDArray[np.float64]
     linearise_at: NDArray[np.float64]
+    options: NDArray[np.float64]
 
 
 class Rules(NamedTuple):
@@ -105,7 +110,7 @@ class Kept(NamedTuple):
 
 
 class History(NamedTuple):
-    """Per frame (F,), filled by the pass; innovations of frame f start at 2 * offsets[2 f]."""
+    """Per frame (F,), filled by the pass; innovations of frame f start at ROOM * offsets[2 f]."""
 
     x: NDArray[np.float64]
     sd: NDArray[np.float64]
@@ -133,6 +138,8 @@ def _named(kind, *fields):
 
 PASS_SIGNATURE = void(
     types.FunctionType(CAMERA_SIGNATURE),
+    types.FunctionType(BIND),
+    types.FunctionType(ROWS),
     types.FunctionType(UPDATE),
     types.FunctionType(PREDICT),
     types.FunctionType(COVARIANCE),
@@ -142,7 +149,7 @@ PASS_SIGNATURE = void(
     _named(Baseline, _STARS, _TABLE, _CUBE, _BYTES),
     _named(
         Model, _COLUMN, float64, float64, float64, _NUMBERS, _COLUMN, _FLAGS, _COLUMN, _CUBE,
-        _COLUMN,
+        _COLUMN, _COLUMN,
     ),
     _named(Rules, *[boolean] * 5, int64, float64, int64, *[float64] * 3),
     _named(

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from stcal.cameras.noise_kernels import slopes_at
 from stcal.estimators.filter_kernels import sigma_points
 from stcal.jit import kernel
-from stcal.residuals.frame_kernels import bind_frame, whiten_frame
 from stcal.residuals.screening_kernels import screen_exposure
 
 
@@ -80,14 +79,18 @@ def star_vectors(camera, model, values, row_px, col_px, sd_px):
 
 
 @kernel
-def _choose(camera, model, rules, kept, slot, values, covariance, scale):
-    """Screen the stars of a kept frame; return those to use and how many were rejected."""
+def _choose(camera, model, rules, kept, slot, judged, values, covariance, scale):
+    """Screen the stars of a kept frame; return those to use and how many were rejected.
+
+    They are judged with the camera ``judged`` (P,), of state covariance ``covariance``; their noise
+    is that of the camera ``values``, where the measurement is linearised.
+    """
     first, second = int(kept.facts[slot, 0]), int(kept.facts[slot, 1])
     total = first + second
     row_px, col_px = kept.star[slot, :total, 0].copy(), kept.star[slot, :total, 1].copy()
     s_i = kept.star[slot, :total, 2:5].copy()
     s_d, by_parameter, sd = star_vectors(
-        camera, model, values, row_px, col_px, kept.star[slot, :total, 5]
+        camera, model, judged, row_px, col_px, kept.star[slot, :total, 5]
     )
     by_state = _by_state(model, kept.facts[slot, 2], by_parameter)
     use = np.ones(total, np.bool_)
@@ -106,25 +109,27 @@ def _choose(camera, model, rules, kept, slot, values, covariance, scale):
             use[a:b] = False
             left = 0
         counts[1 + e] = left
+    if not (judged == values).all():
+        _, _, sd = star_vectors(camera, model, values, row_px, col_px, kept.star[slot, :total, 5])
     return Chosen(np.cumsum(counts), row_px[use], col_px[use], s_i[use], sd[use]), rejected
 
 
 @kernel
-def _linearise(camera, model, warmth, arcs, chosen, at, before, rows):
-    """Fill ``rows`` (A, n + 1) with the whitened measurement, linearised at the state ``at``."""
+def _linearise(camera, residual, model, warmth, bound, chosen, at, before, out):
+    """Fill ``out`` (A, n + 1) with the whitened measurement, linearised at the state ``at``."""
     count, parameters = chosen.s_i.shape[0], model.reference.shape[0]
     values = np.empty(parameters)
     camera_of(model, at, warmth, values)
     s_d, by_pixel = np.empty((count, 3)), np.empty((count, 3, 2))
     by_parameter = np.empty((count, 3, parameters))
     camera(values, model.pixel_size_m, chosen.row_px, chosen.col_px, s_d, by_parameter, by_pixel)
-    full = np.empty((rows.shape[0], parameters + 1))
-    whiten_frame(arcs, values, s_d, by_parameter, full)
-    _state_rows(model, warmth, full, before, at, rows)
+    full = np.empty((out.shape[0], parameters + 1))
+    residual(bound[0], bound[1], values, s_d, by_parameter, full)
+    _state_rows(model, warmth, full, before, at, out)
 
 
 @kernel
-def _evaluate(camera, model, warmth, arcs, chosen, points, values):
+def _evaluate(camera, residual, model, warmth, bound, chosen, points, values):
     """Fill ``values`` (A, count) with whitened residuals at the states ``points`` (count, n)."""
     count, parameters = chosen.s_i.shape[0], model.reference.shape[0]
     at = np.empty(parameters)
@@ -134,7 +139,7 @@ def _evaluate(camera, model, warmth, arcs, chosen, points, values):
     for p in range(points.shape[0]):
         camera_of(model, points[p], warmth, at)
         camera(at, model.pixel_size_m, chosen.row_px, chosen.col_px, s_d, by_parameter, by_pixel)
-        whiten_frame(arcs, at, s_d, none, column)
+        residual(bound[0], bound[1], at, s_d, none, column)
         values[:, p] = column[:, 0]
 
 
@@ -154,46 +159,39 @@ def _on_a_plane(rows, x, points, values):
 
 @kernel
 def update_by_frame(
-    camera,
-    update,
-    model,
-    rules,
-    kept,
-    slot,
-    at,
-    anew,
-    x,
-    root,
-    covariance,
-    scale,
-    innovation,
+    functions, model, rules, kept, slot, at, judge, anew, x, root, covariance, scale, innovation,
     score,
-):
-    """Update the state by a kept frame, linearised at ``at``.
+):  # fmt: skip
+    """Update the state by a kept frame, linearised at ``at``; its stars are judged by ``judge``.
 
     An unscented filter evaluates a new frame at its sigma points; one that is taken ``anew`` it
-    linearises as the others do.  Returns the number of independent arclengths, of innovations and
+    linearises as the others do.  Returns the number of independent residuals, of innovations and
     of rejected stars.
     """
+    camera, bind, residual, update = functions[:4]
     warmth, n = kept.facts[slot, 2], x.shape[0]
     values = np.empty(model.reference.shape[0])
     camera_of(model, at, warmth, values)
-    chosen, rejected = _choose(camera, model, rules, kept, slot, values, covariance, scale)
+    judged = np.empty(values.shape[0])
+    camera_of(model, judge, warmth, judged)
+    chosen, rejected = _choose(camera, model, rules, kept, slot, judged, values, covariance, scale)
     if chosen.s_i.shape[0] == 0:
         return 0, 0, rejected
     slope = np.empty((chosen.s_i.shape[0], values.shape[0]))
     slopes_at(model.slope_table, model.rows, model.cols, chosen.row_px, chosen.col_px, slope)
-    arcs = bind_frame(chosen.offsets, chosen.s_i, chosen.sd, slope, values)
-    count = arcs.arc.shape[0]
+    bound = bind(chosen.offsets, chosen.s_i, chosen.sd, slope, values, model.options)
+    count = bound[0][0]
+    if count == 0:
+        return 0, 0, rejected
     rows, points = np.empty((count, n + 1)), np.empty((2 * n + 1, n))
     residuals = np.empty((count, 2 * n + 1))
     if rules.unscented and not anew:
         sigma_points(x, root, points)
-        _evaluate(camera, model, warmth, arcs, chosen, points, residuals)
+        _evaluate(camera, residual, model, warmth, bound, chosen, points, residuals)
     else:
-        _linearise(camera, model, warmth, arcs, chosen, at, x.copy(), rows)
+        _linearise(camera, residual, model, warmth, bound, chosen, at, x.copy(), rows)
         if rules.unscented:
             sigma_points(x, root, points)
             _on_a_plane(rows, x, points, residuals)
     update(rows, residuals, x, root, innovation[:count], score)
-    return count - arcs.dependent, count, rejected
+    return count - bound[0][1], count, rejected

@@ -19,7 +19,7 @@ import numpy as np
 
 from stcal.jit import kernel, pointer
 from stcal.matching.kernels import identify
-from stcal.pipeline.layout_kernels import PASS_SIGNATURE
+from stcal.pipeline.layout_kernels import PASS_SIGNATURE, ROOM
 from stcal.pipeline.measurement_kernels import camera_of, star_vectors, update_by_frame
 from stcal.pipeline.watch_kernels import noise_scale, watch
 from stcal.pipeline.window_kernels import drop_oldest, find_slopes, keep, linearise_window, note
@@ -55,7 +55,7 @@ def _one_frame(
     covariance, star, s_i,
 ):  # fmt: skip
     """Identify frame ``f`` and update the state by it."""
-    camera, update, _ = functions
+    camera = functions[0]
     first, last = telemetry.offsets[2 * f], telemetry.offsets[2 * f + 2]
     c_di, score = np.empty((2, 3, 3)), np.empty(2)
     at = model.linearise_at if rules.fixed else state.x.copy()
@@ -68,8 +68,8 @@ def _one_frame(
         drop_oldest(state, kept)
     slot = keep(f, telemetry, star[first:last], s_i[first:last], c_di, kept)
     history.arcs[f], count, history.rejected[f] = update_by_frame(
-        camera, update, model, rules, kept, slot, at, False, state.x, state.root, covariance,
-        noise_scale(state.tally), history.innovation[2 * first : 2 * last], score,
+        functions, model, rules, kept, slot, at, at, False, state.x, state.root, covariance,
+        noise_scale(state.tally), history.innovation[ROOM * first : ROOM * last], score,
     )  # fmt: skip
     note(kept, slot, state.x, state.root)
     history.innovations[f], history.iterations[f] = count, 0
@@ -81,7 +81,7 @@ def _one_frame(
 
 
 def _run_pass(
-    camera, update, predict, covariance_of,
+    camera, bind, residual, update, predict, covariance_of,
     telemetry, baseline, model, rules, sky, rule, work, state, kept, history, star, s_i,
 ):  # fmt: skip
     """Filter a stretch of frames; ``state``, ``history`` and the matches are filled in place.
@@ -96,8 +96,8 @@ def _run_pass(
             predict(state.root, model.noise_sd * (telemetry.gap[f] / noise_scale(state.tally)))
         covariance_of(state.root, covariance)
         _one_frame(
-            f, (camera, update, predict), telemetry, baseline, model, rules, sky, rule, work,
-            state, kept, history, covariance, star, s_i,
+            f, (camera, bind, residual, update, predict, covariance_of), telemetry, baseline,
+            model, rules, sky, rule, work, state, kept, history, covariance, star, s_i,
         )  # fmt: skip
         covariance_of(state.root, covariance)
         watch(f, baseline, state, kept, rules, history, telemetry, covariance)

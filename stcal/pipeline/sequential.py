@@ -23,7 +23,7 @@ from stcal.frames import FrameBatch, MatchedFrames
 from stcal.matching import Matcher, match
 from stcal.matching.identify import rematch_given, telemetered_matches
 from stcal.pipeline import describe_sequential
-from stcal.pipeline.cycles import information_at, without_outliers
+from stcal.pipeline.cycles import arcs_of, information_at, without_outliers
 from stcal.pipeline.estimate import Solution, estimate_of
 from stcal.pipeline.evidence import choose_model
 from stcal.pipeline.filter_run import FrameHistory, Run, run_filter
@@ -32,7 +32,7 @@ from stcal.pipeline.filtering import Variant, make_filter
 from stcal.pipeline.fit import check_calibration, fitted_calibration
 from stcal.pipeline.gates import sequential_refusals
 from stcal.pipeline.parameters import embedded, parameter_scale
-from stcal.residuals import RESIDUALS, select_stars
+from stcal.residuals import select_stars
 
 Floats = NDArray[np.float64]
 
@@ -89,6 +89,7 @@ def fit_sequential(
     batches = [batch for batch in batches if batch.n_frames]
     check_calibration(initial, matcher.config, batches[0].sensor_id)
     check_variant(variant)
+    variant.residual.check()
     baseline = list(mapper(partial(_baseline, initial=initial, matcher=matcher, variant=variant),
                            batches))  # fmt: skip
     runs = {}
@@ -154,16 +155,19 @@ def _final_pass(
     minimum = config.fit.minimum_stars_per_exposure
     stars = [select_stars(m, config.noise, minimum) for m in matched]
     kept = without_outliers(stars, camera, config, mapper)
-    bound = list(mapper(partial(RESIDUALS["arclength"], camera=camera), kept))
+    residual = run.filter.residual
+    bound = list(mapper(partial(residual.bind, camera=camera), kept))
     free = run.filter.model.target[run.filter.constants]
     scale = parameter_scale(config, camera.parameter_names)[free]
     information = scaled(information_at(bound, camera, free, mapper), scale)
     return Solution(
         matched=matched,
-        bound=bound,
+        bound=[arcs_of(b, camera) for b in bound],
         camera=camera,
         free=free,
         information=information,
+        residual=residual,
+        dependent=sum(b.dependent for b in bound),
         covariance=embedded(_covariance(run, scale), free, len(camera.parameters)),
         noise_scale=float(run.history.noise_scale[-1]),
         rejected=sum(len(s.star) for s in stars) - sum(len(s.star) for s in kept),

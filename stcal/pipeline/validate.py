@@ -32,8 +32,7 @@ from stcal.pipeline.alignment import attitude_change
 from stcal.pipeline.fit import check_calibration
 from stcal.pipeline.numbers import number, numbers
 from stcal.pipeline.views import residual_views, series
-from stcal.residuals import RESIDUALS, select_stars
-from stcal.residuals.arclength import BoundArclength
+from stcal.residuals import BoundArclength, bind_arclength, select_stars
 
 Floats = NDArray[np.float64]
 
@@ -124,9 +123,7 @@ def _bind(
 ) -> list[BoundArclength]:
     """Return the star pairs of every solved exposure by the 2 N - 3 rule."""
     noise, minimum = matcher.config.noise, matcher.config.fit.minimum_stars_per_exposure
-    return [
-        RESIDUALS["arclength"](select_stars(m, noise, minimum), calibration.camera) for m in matched
-    ]
+    return [bind_arclength(select_stars(m, noise, minimum), calibration.camera) for m in matched]
 
 
 def _sums(

@@ -12,6 +12,7 @@ import numpy as np
 
 from stcal.cameras.noise_kernels import slope_table
 from stcal.jit import kernel
+from stcal.pipeline.layout_kernels import ROOM
 from stcal.pipeline.measurement_kernels import camera_of, update_by_frame
 from stcal.pipeline.watch_kernels import noise_scale
 
@@ -59,15 +60,22 @@ def note(kept, slot, x, root):
 
 
 @kernel
-def _advance(functions, model, rules, kept, slot, at, x, root, covariance, scale):
-    """Bring a state from before a kept frame to after it, linearised at ``at``; returns its NIS."""
-    camera, update, predict = functions
+def _advance(functions, model, rules, kept, slot, at, own, x, root, covariance, scale):
+    """Bring a state from before a kept frame to after it, linearised at ``at``; returns its NIS.
+
+    The frame's stars are judged by ``at`` and ``covariance``, or by the frame's ``own`` state.
+    """
+    predict, covariance_of = functions[4], functions[5]
     if kept.facts[slot, 3] > 0.0:
         predict(root, model.noise_sd * (kept.facts[slot, 3] / scale))
-    innovation, score = np.empty(2 * kept.star.shape[1]), np.zeros(2)
+    innovation, score = np.empty(ROOM * kept.star.shape[1]), np.zeros(2)
+    judge = at
+    if own:
+        judge, covariance = x.copy(), np.empty(root.shape)
+        covariance_of(root, covariance)
     update_by_frame(
-        camera, update, model, rules, kept, slot, at, True, x, root, covariance, scale, innovation,
-        score,
+        functions, model, rules, kept, slot, at, judge, True, x, root, covariance, scale,
+        innovation, score,
     )  # fmt: skip
     note(kept, slot, x, root)
     return score[0]
@@ -83,21 +91,14 @@ def drop_oldest(state, kept):
 
 
 @kernel
-def _hours(kept):
-    """Hours from before the oldest kept frame to the latest."""
-    total = 0.0
-    for k in range(kept.place[1]):
-        total += kept.facts[(kept.place[0] + k) % kept.facts.shape[0], 3] ** 2
-    return total
+def _by_own_state(model, state):
+    """Whether kept frames are judged by their own state rather than by the latest.
 
-
-@kernel
-def _drifted(covariance, model, hours, scale):
-    """Covariance of the state some hours ago, as far as it is known now."""
-    out = covariance.copy()
-    for k in range(out.shape[0]):
-        out[k, k] += max(hours, 0.0) * (model.noise_sd[k] / scale) ** 2
-    return out
+    While parameters drift the latest state is another camera than an older frame's: its gate would
+    cut the noise of far stars on one side.  Parameters that stay are known best by the latest
+    state, and before the window has left the start a frame's own state is next to the prior.
+    """
+    return (model.noise_sd > 0.0).any() and not (state.base_x == state.start_x).all()
 
 
 @kernel
@@ -149,14 +150,13 @@ def _filter_window(functions, model, rules, state, kept, covariance):
     if np.abs(state.linearised_at - state.sloped_at).max() > _RELINEARISE:
         state.sloped_at[:] = state.linearised_at
         find_slopes(functions[0], model, state.sloped_at)
-    scale, later, cost = noise_scale(state.tally), _hours(kept), 0.0
+    scale, cost, own = noise_scale(state.tally), 0.0, _by_own_state(model, state)
     state.x[:], state.root[:, :] = state.base_x, state.base_root
     for k in range(kept.place[1]):
         slot = (kept.place[0] + k) % kept.facts.shape[0]
-        later -= kept.facts[slot, 3] ** 2
         cost += _advance(
-            functions, model, rules, kept, slot, state.linearised_at, state.x, state.root,
-            _drifted(covariance, model, later, scale), scale,
+            functions, model, rules, kept, slot, state.linearised_at, own, state.x, state.root,
+            covariance, scale,
         )  # fmt: skip
     return cost
 

@@ -77,7 +77,7 @@ def fit_facts(document: Document) -> Table:
         ("Frames", count(document.get("frames"))),
         ("Exposures used", count(document.get("exposures_used"))),
         ("Stars used", count(document.get("stars_used"))),
-        ("Arclengths", count(document.get("arcs"))),
+        ("Residuals", count(document.get("residuals"))),
         ("Detector coverage", percent(document.get("coverage"))),
         *settled,
         ("Centroid noise, sd", fixed(noise.get("sd_px"), 3, "px")),

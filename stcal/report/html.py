@@ -6,7 +6,7 @@ from outside and no script is needed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,9 @@ import numpy as np
 from stcal.atomic import write_text
 from stcal.errors import InputError
 from stcal.report import (
+    align_report,
     content,
+    conversion_html,
     enright_html,
     figures,
     filter_figures,
@@ -24,6 +26,8 @@ from stcal.report import (
 )
 from stcal.report.content import Table, Verdict
 from stcal.report.document import (
+    ALIGNMENT_SCHEMA,
+    CONVERSION_SCHEMA,
     ENRIGHT_SCHEMA,
     FIT_SCHEMA,
     TRACKING_SCHEMA,
@@ -34,20 +38,20 @@ from stcal.report.document import (
     text,
 )
 from stcal.report.filter_content import filter_tables, is_sequential
-from stcal.report.layout import Part, Picture, page
+from stcal.report.layout import Part, Picture, heading, report_page
 
 
 def render_fit(document: Document) -> str:
     """Return the HTML report of a fit (schema ``stcal.fit/1``)."""
-    return _page(
-        _heading("Recalibration", document), [_fit_verdict(document)], [_fit_part(document)]
+    return report_page(
+        heading("Recalibration", document), [_fit_verdict(document)], [_fit_part(document)]
     )
 
 
 def render_validation(document: Document) -> str:
     """Return the HTML report of a validation (schema ``stcal.validation/1``)."""
     verdicts, parts = [_validation_verdict(document)], [_validation_part(document)]
-    return _page(_heading("Validation", document), verdicts, parts)
+    return report_page(heading("Validation", document), verdicts, parts)
 
 
 def render_recalibration(
@@ -69,12 +73,14 @@ def render_recalibration(
         raise InputError(f"{files[0]} is of sensor {names[0]!r}, {files[1]} of sensor {names[1]!r}")
     verdicts = [_validation_verdict(validation), _fit_verdict(fit)]
     parts = [_validation_part(validation), _fit_part(fit)]
-    return _page(_heading("Recalibration and validation", fit), verdicts, parts)
+    return report_page(heading("Recalibration and validation", fit), verdicts, parts)
 
 
 RENDERERS: dict[str, Callable[[Document], str]] = {
     FIT_SCHEMA: render_fit,
     VALIDATION_SCHEMA: render_validation,
+    ALIGNMENT_SCHEMA: align_report.render_alignment,
+    CONVERSION_SCHEMA: conversion_html.render,
     ENRIGHT_SCHEMA: enright_html.render,
     TRACKING_SCHEMA: tracking_html.render,
 }
@@ -110,10 +116,6 @@ def _fit_verdict(document: Document) -> Verdict:
 
 def _validation_verdict(document: Document) -> Verdict:
     return content.verdict(document, "Validation")
-
-
-def _heading(kind: str, document: Document) -> str:
-    return f"{kind} of {text(document.get('sensor_id')) or 'an unnamed sensor'}"
 
 
 def _fit_part(document: Document) -> Part:
@@ -224,13 +226,3 @@ def _time_picture(document: Document, labels: tuple[str, str], prefix: str) -> P
         "fix, and their share."
     )
     return Picture("Matched stars and availability over time", caption, (svg,))
-
-
-def _page(heading: str, verdicts: Sequence[Verdict], parts: Sequence[Part]) -> str:
-    return page(
-        "report.html.j2",
-        heading=heading,
-        verdicts=verdicts,
-        parts=parts,
-        several=len(parts) > 1,
-    )

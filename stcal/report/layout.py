@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from stcal.report.content import Table
+from stcal.report.content import Table, Verdict
+from stcal.report.document import Document, text
 
 _TEMPLATES = Path(__file__).parent / "templates"
 
@@ -47,4 +49,20 @@ def page(template: str, **values: Any) -> str:
     environment.filters["svg"] = Markup
     return environment.get_template(template).render(
         **values, is_table=lambda item: isinstance(item, Table)
+    )
+
+
+def heading(kind: str, document: Document) -> str:
+    """Return the heading of a report of one sensor."""
+    return f"{kind} of {text(document.get('sensor_id')) or 'an unnamed sensor'}"
+
+
+def report_page(title: str, verdicts: Sequence[Verdict], parts: Sequence[Part]) -> str:
+    """Return the HTML page of one or more documents of a sensor: their verdicts first."""
+    return page(
+        "report.html.j2",
+        heading=title,
+        verdicts=verdicts,
+        parts=parts,
+        several=len(parts) > 1,
     )

@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from stcal.jit import kernel
+from stcal.jit import kernel, pointer
+from stcal.residuals.contract_kernels import BIND, ROWS, noise_change
 
 # Rows k and l of an exposure share a star only when |k - l| <= 4.
 BAND = 4
@@ -174,29 +175,81 @@ def _cholesky_row(lower, row, start):
 
 
 @kernel
-def whiten(pair_i, pair_j, lower, starts, arc_true, scale, slope, s_d, by_parameter, out):
-    """Fill ``out`` (A, P + 1) with the whitened rows [H' | residual] at a camera.
+def arc_stars(ints):
+    """Return pair_i, pair_j and starts (A,), views of what ``bind`` has made."""
+    count = ints[0]
+    return ints[2 : 2 + count], ints[2 + count : 2 + 2 * count], ints[2 + 2 * count :]
 
-    Residuals are eq (12), rows of H eq (38) with the terms crossed, both over the noise ``scale``
-    (A,) with its logarithmic derivatives ``slope`` (A, P); then the triangular systems (81)-(82),
-    row by row within the band.
+
+@kernel
+def arc_tables(ints, floats, parameters):
+    """Return lower (A, BAND + 1), arc (A,), slope (A, P) and reference (P,), views."""
+    count = ints[0]
+    a, b = count * (BAND + 1), count * (BAND + 2)
+    c = b + count * parameters
+    lower, slope = floats[:a].reshape(count, BAND + 1), floats[b:c].reshape(count, parameters)
+    return lower, floats[a:b], slope, floats[c:]
+
+
+@pointer(BIND)
+def bind(offsets, s_i, sd, star_slope, reference, options):
+    """Choose the arcs of the exposures and factor their covariance.
+
+    ints: rows, dependent, then pair_i, pair_j, starts (A,); floats: lower (A, BAND + 1), arc (A,),
+    slope (A, P), reference (P,).
     """
-    parameters = by_parameter.shape[2]
-    for row in range(pair_i.shape[0]):
-        i, j = pair_i[row], pair_j[row]
-        half = 0.5 * math.sqrt(distance2(s_d, i, j))
-        arc = 2.0 * math.asin(min(1.0, half))
-        sine = math.sin(arc)
+    parameters = reference.shape[0]
+    order = np.empty(s_i.shape[0], np.int64)
+    order_stars(offsets, s_i, order)
+    count = 0
+    for x in range(offsets.shape[0] - 1):
+        count += max(2 * (offsets[x + 1] - offsets[x]) - 3, 0)
+    ints = np.empty(2 + 3 * count, np.int64)
+    floats = np.zeros(count * (BAND + 2 + parameters) + parameters)
+    ints[0] = count
+    pair_i, pair_j, starts = arc_stars(ints)
+    lower, arc, slope, kept = arc_tables(ints, floats, parameters)
+    ints[1] = factor(offsets, s_i, order, sd, pair_i, pair_j, lower)
+    kept[:] = reference
+    row = 0
+    for x in range(offsets.shape[0] - 1):
+        arcs = max(2 * (offsets[x + 1] - offsets[x]) - 3, 0)
+        starts[row : row + arcs] = row
+        row += arcs
+    for a in range(count):
+        i, j = pair_i[a], pair_j[a]
+        arc[a] = 2.0 * math.asin(min(1.0, 0.5 * math.sqrt(distance2(s_i, i, j))))
+        # An arc's log-sd slope is the mean of its stars', weighted by variance.
+        share = sd[i] * sd[i] / (sd[i] * sd[i] + sd[j] * sd[j])
         for p in range(parameters):
+            slope[a, p] = share * star_slope[i, p] + (1.0 - share) * star_slope[j, p]
+    return ints, floats
+
+
+@pointer(ROWS)
+def rows(ints, floats, parameters, s_d, by_parameter, out):
+    """Fill the whitened rows [H' | residual] at a camera.
+
+    Residuals are eq (12), rows of H eq (38) with the terms crossed; then the triangular systems
+    (81)-(82), row by row within the band.
+    """
+    pair_i, pair_j, starts = arc_stars(ints)
+    lower, arc_true, slope, reference = arc_tables(ints, floats, parameters.shape[0])
+    last = by_parameter.shape[2]
+    for row in range(ints[0]):
+        i, j = pair_i[row], pair_j[row]
+        arc = 2.0 * math.asin(min(1.0, 0.5 * math.sqrt(distance2(s_d, i, j))))
+        sine, scale = math.sin(arc), noise_change(slope, row, parameters, reference)
+        for p in range(last):
             value = 0.0
             for a in range(3):
                 value += by_parameter[j, a, p] * s_d[i, a] + by_parameter[i, a, p] * s_d[j, a]
-            out[row, p] = (-value / sine - (arc - arc_true[row]) * slope[row, p]) / scale[row]
-        out[row, parameters] = (arc - arc_true[row]) / scale[row]
+            out[row, p] = (-value / sine - (arc - arc_true[row]) * slope[row, p]) / scale
+        out[row, last] = (arc - arc_true[row]) / scale
         for k in range(max(starts[row], row - BAND), row):
             weight = lower[row, BAND - (row - k)]
             if weight != 0.0:
-                for p in range(parameters + 1):
+                for p in range(last + 1):
                     out[row, p] -= weight * out[k, p]
-        for p in range(parameters + 1):
+        for p in range(last + 1):
             out[row, p] /= lower[row, BAND]

@@ -12,7 +12,7 @@ from stcal.atomic import write_with
 from stcal.calibration import save
 from stcal.simulate.detector import CENTROID_DECIMALS
 from stcal.simulate.scenario import PARTS
-from stcal.simulate.simulation import SimulatedPart, Simulation
+from stcal.simulate.simulation import SimulatedPart, Simulation, body_attitudes
 
 
 def write_simulation(
@@ -20,21 +20,26 @@ def write_simulation(
 ) -> dict[str, Path]:
     """Write a simulated sensor's files and return their paths by what they hold.
 
-    ``<sensor>.calibration.csv.gz``, ``<sensor>.validation.csv.gz`` and ``<sensor>.initial.json``
-    are what an operator has; ``truth/<sensor>.json`` (the true calibration) and
+    ``<sensor>.calibration.csv.gz``, ``<sensor>.validation.csv.gz``, ``body/<sensor>.csv.gz`` (the
+    spacecraft's own attitude at the frames of both) and ``<sensor>.initial.json`` are what an
+    operator has; ``truth/<sensor>.json`` (the true calibration) and
     ``truth/<sensor>.truth.npz`` (left out without ``truth_columns``) are for judging.  Equal
     simulations give equal bytes.
     """
-    from stcal.telemetry.writer import write_csv
+    from stcal.telemetry.writer import write_attitudes, write_csv
 
     sensor = simulation.scenario.sensor_id
     files = {f"{name} telemetry": folder / f"{sensor}.{name}.csv.gz" for name in PARTS}
+    files["body attitude"] = folder / "body" / f"{sensor}.csv.gz"
     files["initial calibration"] = folder / f"{sensor}.initial.json"
     files["true calibration"] = folder / "truth" / f"{sensor}.json"
     first_pixel = simulation.scenario.sensor.detector.first_pixel_centre_px
     for name in PARTS:
         frames = getattr(simulation, name).frames
         write_csv([frames], files[f"{name} telemetry"], CENTROID_DECIMALS, first_pixel)
+    times, q_bi = body_attitudes(simulation)
+    sd_urad = simulation.scenario.mounting.body_attitude_sd_urad
+    write_attitudes(files["body attitude"], times, q_bi, sd_urad)
     save(simulation.initial, files["initial calibration"])
     save(simulation.true, files["true calibration"])
     if truth_columns:

@@ -71,6 +71,8 @@ class Mounting(Section):
     # Rotation vectors of c_sd: as stored in the initial calibration, and the unknown change of it.
     c_sd_rotvec_deg: Vector = (0.0, 0.0, 0.0)
     c_sd_shift_urad: Vector = (0.0, 0.0, 0.0)
+    # White noise per axis of the record of the body's attitude that comes with the telemetry.
+    body_attitude_sd_urad: Annotated[Number, Field(ge=0.0, le=1e5)] = 30.0
 
 
 class DriftStep(Section):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
 from functools import partial
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from stcal.calibration import Calibration
-from stcal.constants import DEG, EXPOSURES_PER_FRAME
+from stcal.constants import DEG, EXPOSURES_PER_FRAME, URAD
 from stcal.frames import FrameBatch, concatenate
 from stcal.simulate import detector
 from stcal.simulate.attitude import mounting_rotation
@@ -104,6 +105,25 @@ def stream(scenario: Scenario, part: str, seed: int) -> Iterator[SimulatedPart]:
     """Yield the chunks of one part, for runs that don't fit in memory."""
     world = make_world(scenario, part, seed)
     return (simulate_chunk(world, chunk) for chunk in range(world.n_chunks))
+
+
+def body_attitudes(simulation: Simulation) -> tuple[Ints, Floats]:
+    """Return what the spacecraft knows of its attitude: times (F,) and noisy q_bi (F, 4).
+
+    At exposure 0 of the frames of both parts, in the order of time.
+    """
+    mounting = simulation.scenario.mounting
+    parts = [getattr(simulation, name) for name in PARTS]
+    times = np.concatenate([part.frames.t_tai_ns for part in parts])
+    q_si = np.concatenate([part.truth.q_si[::EXPOSURES_PER_FRAME] for part in parts])
+    # As world.make_world does for the parts, whose numbers are 0 and 1.
+    entropy = (simulation.seed, zlib.crc32(simulation.scenario.sensor_id.encode()), len(PARTS))
+    rng = np.random.default_rng(entropy)
+    noise = rng.normal(0.0, mounting.body_attitude_sd_urad * URAD, (len(times), 3))
+    c_bs = mounting_rotation(mounting)
+    c_ib = Rotation.from_quat(q_si) * c_bs.inv() * Rotation.from_rotvec(noise)
+    order = np.argsort(times, kind="stable")
+    return times[order], c_ib.as_quat(canonical=True)[order]
 
 
 def simulate_chunk(world: World, chunk: int) -> SimulatedPart:

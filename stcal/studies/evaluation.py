@@ -13,7 +13,7 @@ from stcal.constants import URAD
 from stcal.frames import FrameBatch, MatchedFrames
 from stcal.matching import Matcher, match
 from stcal.pipeline.numbers import number
-from stcal.residuals import RESIDUALS, select_stars
+from stcal.residuals import bind_arclength, select_stars
 from stcal.residuals.arclength import BoundArclength
 
 Floats = NDArray[np.float64]
@@ -66,7 +66,7 @@ def evaluate(
 def pairs_of(matched: MatchedFrames, camera: Camera, matcher: Matcher) -> BoundArclength:
     """Return the star pairs of every solved exposure by the 2 N - 3 rule."""
     noise, minimum = matcher.config.noise, matcher.config.fit.minimum_stars_per_exposure
-    return RESIDUALS["arclength"](select_stars(matched, noise, minimum), camera)
+    return bind_arclength(select_stars(matched, noise, minimum), camera)
 
 
 def rms_urad(departures: Floats) -> float:

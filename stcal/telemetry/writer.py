@@ -77,6 +77,23 @@ def write_jsonl(
     _write(path, fill)
 
 
+def write_attitudes(path: Path, t_tai_ns: Ints, q_bi: Floats, sd_urad: float) -> None:
+    """Write a record of the body's attitude, as :mod:`stcal.telemetry.attitudes` reads it.
+
+    ``q_bi`` (T, 4) is B relative to I, scalar last; its noise is ``sd_urad`` about every axis.
+    """
+    columns = [pa.array(format_utc_array(t_tai_ns).tolist(), pa.string())]
+    columns += [_number(column, _DECIMALS["q_si"]) for column in q_bi.T]
+    columns.append(pa.repeat(f"{sd_urad:g}", len(t_tai_ns)))
+    lines = pc.binary_join_element_wise(*columns, ",").to_pylist()
+    text = "\n".join(["time_utc,q_x,q_y,q_z,q_w,sd_urad", *lines]) + "\n"
+
+    def fill(stream: BinaryIO) -> None:
+        stream.write(text.encode())
+
+    _write(path, fill)
+
+
 def frame_json(batch: FrameBatch, index: int) -> str:
     """Return one frame as its JSON line, exact, centroids in the package's own convention."""
     one = batch.take(np.array([index]))

@@ -2,20 +2,21 @@
 
 import numpy as np
 import pytest
+from camera_cases import CASES
 
 STARS = 40
-SIGMA = np.array([8e-6, 30.0, 30.0, 1e8, 1e3, 0.01, 0.01, 2e-4])
 
 
-@pytest.fixture
-def scene(st16_camera):
+@pytest.fixture(params=CASES)
+def scene(request):
     """(drifting camera (P, S), one camera a star, m, n)."""
-    rng = np.random.default_rng(4)
-    drift = 2.0 * SIGMA[:, None] * rng.normal(size=(8, STARS))
-    drifting = st16_camera.with_parameters(st16_camera.parameters[:, None] + drift)
-    single = [st16_camera.with_parameters(x) for x in drifting.parameters.T]
-    m, n = rng.uniform(0, 1943, STARS), rng.uniform(0, 2591, STARS)
-    return drifting, single, m, n
+    case = CASES[request.param]
+    camera = case.camera()
+    departures = np.random.default_rng(4).normal(size=(len(case.nominal), STARS))
+    drift = 2.0 * np.array(case.sigma)[:, None] * departures
+    drifting = camera.with_parameters(camera.parameters[:, None] + drift)
+    single = [camera.with_parameters(x) for x in drifting.parameters.T]
+    return drifting, single, *case.centroids(STARS)
 
 
 def test_maps_are_those_of_single_cameras(scene):

@@ -256,6 +256,12 @@ SEQUENTIAL = ["--sequential", "sqrf"]
 NONSENSE = [
     ([], "--batch or --sequential"),
     (["--batch", *SEQUENTIAL], "--batch or --sequential"),
+    (["--batch", "--residual", "chords"], "chords"),
+    (["--batch", "--groups", "1"], "belong to --residual singular-values"),
+    ([*SEQUENTIAL, "--residual", "cosine", "--values", "2"], "belong to --residual singular"),
+    (["--batch", "--residual", "singular-values", "--groups", "5"], "groups 5"),
+    (["--batch", "--residual", "singular-values", "--values", "2,4"], "values"),
+    (["--batch", "--residual", "singular-values", "--values", "two"], "'two' is not a list"),
     (["--sequential", "kalman"], "kalman"),
     (["--batch", "--no-rematch"], "belong to --sequential"),
     (["--batch", "--process-noise", "0.1"], "belong to --sequential"),

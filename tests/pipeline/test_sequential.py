@@ -19,7 +19,7 @@ from stcal.pipeline.filtering import Variant, make_filter, process_noise_of
 from stcal.pipeline.fit import fit_batch
 from stcal.pipeline.sequential import fit_sequential
 from stcal.pipeline.validate import compare
-from stcal.residuals import select_stars
+from stcal.residuals import ARCLENGTH, select_stars
 from stcal.residuals.arclength import bind_arclength
 
 PROVENANCE = {"parent_sha256": "a" * 64}
@@ -44,8 +44,9 @@ def batch_with_its_matches(number, seed):
     data, matcher = simulation(number, seed, 300), st16_matcher()
     frames = data.calibration.frames
     cycles, _ = run_cycles(
-        [frames], data.initial, matcher, "lost-in-space", np.arange(8), serial, lambda cycle: None
-    )
+        [frames], data.initial, matcher, "lost-in-space", ARCLENGTH, np.arange(8), serial,
+        lambda cycle: None,
+    )  # fmt: skip
     last = cycles[-1]
     given = rematch_given(frames, data.initial.camera, matcher.catalogue, last.matched[0].star)
     sd = np.sqrt(np.diag(covariance_from(last.solution.information))) * last.noise_scale

@@ -44,7 +44,7 @@ def fit_document(frames: int = 120, seed: int = 1) -> dict[str, Any]:
         "matched_stars": {"initial": 11 * frames, "fitted": 20 * frames},
         "exposures_used": 2 * frames - 7,
         "stars_used": 20 * frames,
-        "arcs": 35 * frames,
+        "residuals": 35 * frames,
         "span": {"from": "2026-01-05T00:00:00.000Z", "to": "2026-01-05T06:00:00.000Z"},
         "cycles": [_cycle(k) for k in range(1, 4)],
         "settled": True,

@@ -1,4 +1,4 @@
-"""Residuals of one frame are the batch's, row by row."""
+"""Residuals of one frame, as a filter binds them, are the batch's, row by row."""
 
 import numpy as np
 import pytest
@@ -6,9 +6,8 @@ from conftest import simulation, st16_config, st16_matcher
 
 from stcal.cameras.noise_kernels import slopes_at
 from stcal.matching import match
-from stcal.residuals import select_stars
-from stcal.residuals.arclength import bind_arclength
-from stcal.residuals.frame_kernels import bind_frame, whiten_frame
+from stcal.residuals import RESIDUALS, Residual, select_stars
+from stcal.residuals.kernels import RESIDUAL_KERNELS
 from stcal.residuals.selection import StarSelection
 
 MINIMUM = 4
@@ -37,48 +36,61 @@ def frame_of(matched, counts):
     return chosen, np.concatenate(([0], np.cumsum(counts)))
 
 
-def frame_rows(selection, offsets, bound_at, camera, star_slopes=None):
+def frame_rows(selection, offsets, bound_at, camera, star_slopes=None, name="arclength"):
+    """Rows as the compiled pass makes them of a frame, and what they were bound to."""
+    kernels = RESIDUAL_KERNELS[name]
     sd = selection.sd_px * bound_at.noise_scale(selection.row_px, selection.col_px)
     if star_slopes is None:
         star_slopes = bound_at.noise_scale_slopes(selection.row_px, selection.col_px)
-    arcs = bind_frame(offsets, selection.s_i, sd, star_slopes, bound_at.parameters)
+    ints, floats = kernels.bind(
+        offsets, np.ascontiguousarray(selection.s_i), sd, star_slopes, bound_at.parameters,
+        Residual(name).options,
+    )  # fmt: skip
     s_d, by_parameter, _ = camera.jacobian(selection.row_px, selection.col_px)
-    out = np.full((len(arcs.arc), by_parameter.shape[2] + 1), np.nan)
-    whiten_frame(arcs, camera.parameters, s_d, by_parameter, out)
-    return out, arcs
+    out = np.full((int(ints[0]), by_parameter.shape[2] + 1), np.nan)
+    kernels.rows(ints, floats, camera.parameters, s_d, by_parameter, out)
+    return out, (ints, floats)
 
 
+@pytest.mark.parametrize("name", RESIDUALS)
 @pytest.mark.parametrize("counts", [(10, 10), (10, 4), (4, 9), (10, 0), (0, 7), (10, 2), (3, 5)])
-def test_rows_of_a_frame_equal_the_batchs(data, matched, counts):
+def test_rows_of_a_frame_equal_the_batchs(data, matched, counts, name):
     """With an exposure that is empty or has hardly a star, too."""
     selection, offsets = frame_of(matched, counts)
-    bound = bind_arclength(selection, data.true.camera)
+    bound = Residual(name).bind(selection, data.true.camera)
     for camera in (data.true.camera, data.initial.camera):
         expected = bound.linearise(camera)
-        rows, arcs = frame_rows(selection, offsets, data.true.camera, camera)
-        assert len(rows) == sum(max(2 * n - 3, 0) for n in counts)
+        rows, (ints, _) = frame_rows(selection, offsets, data.true.camera, camera, name=name)
         scale = np.abs(expected).max(axis=0)
         np.testing.assert_allclose(rows / scale, expected / scale, atol=1e-9)
-        assert arcs.dependent == bound.dependent
-    assert np.array_equal(arcs.pair_i, bound.pair_i)
-    assert np.array_equal(arcs.pair_j, bound.pair_j)
+        assert ints[1] == bound.dependent
 
 
-@pytest.mark.parametrize("counts", [(0, 0), (1, 0), (0, 1), (1, 1)])
-def test_a_frame_without_pairs_has_no_rows(data, matched, counts):
+@pytest.mark.parametrize("counts", [(10, 10), (10, 4), (10, 0), (10, 2), (3, 5)])
+def test_arcs_of_a_frame_are_2n_minus_3_an_exposure(data, matched, counts):
     selection, offsets = frame_of(matched, counts)
-    rows, arcs = frame_rows(selection, offsets, data.true.camera, data.true.camera)
-    assert rows.shape == (0, 9)
-    assert arcs.dependent == 0
+    rows, _ = frame_rows(selection, offsets, data.true.camera, data.initial.camera)
+    assert len(rows) == sum(max(2 * n - 3, 0) for n in counts)
 
 
-def test_the_exposures_of_a_frame_do_not_mix(data, matched):
-    """Arcs join stars of one exposure, and whitening starts anew in the second."""
+@pytest.mark.parametrize("name", RESIDUALS)
+@pytest.mark.parametrize("counts", [(0, 0), (1, 0), (0, 1), (1, 1)])
+def test_a_frame_without_pairs_has_no_rows(data, matched, counts, name):
+    selection, offsets = frame_of(matched, counts)
+    rows, (ints, _) = frame_rows(selection, offsets, data.true.camera, data.true.camera, name=name)
+    assert not rows[:, :8].any()
+    assert ints[0] == ints[1]
+
+
+@pytest.mark.parametrize("name", RESIDUALS)
+def test_the_exposures_of_a_frame_do_not_mix(data, matched, name):
+    """Rows are of stars of one exposure, and whitening starts anew in the second."""
     selection, offsets = frame_of(matched, (8, 6))
-    rows, arcs = frame_rows(selection, offsets, data.true.camera, data.initial.camera)
-    assert ((arcs.pair_i < 8) == (arcs.pair_j < 8)).all()
-    alone, _ = frame_rows(*frame_of(matched, (8, 0)), data.true.camera, data.initial.camera)
-    np.testing.assert_allclose(rows[:13], alone, rtol=1e-12)
+    rows, _ = frame_rows(selection, offsets, data.true.camera, data.initial.camera, name=name)
+    alone, _ = frame_rows(
+        *frame_of(matched, (8, 0)), data.true.camera, data.initial.camera, name=name
+    )
+    np.testing.assert_allclose(rows[: len(alone)], alone, rtol=1e-12)
 
 
 def test_a_dependent_arc_becomes_a_row_of_zeros(data):
@@ -87,19 +99,20 @@ def test_a_dependent_arc_becomes_a_row_of_zeros(data):
     camera = data.true.camera
     m, n = camera.project(s)
     line = StarSelection(np.arange(3), np.zeros(3, int), m + 0.3, n, s, np.full(3, 0.3), 1)
-    rows, arcs = frame_rows(line, np.array([0, 3, 3]), camera, camera)
-    assert arcs.dependent == 1
+    rows, (ints, _) = frame_rows(line, np.array([0, 3, 3]), camera, camera)
+    assert ints[1] == 1
     assert (~rows.any(axis=1)).sum() == 1
 
 
-def test_residuals_alone_need_no_derivatives(data, matched):
+@pytest.mark.parametrize("name", RESIDUALS)
+def test_residuals_alone_need_no_derivatives(data, matched, name):
     selection, offsets = frame_of(matched, (9, 5))
-    rows, arcs = frame_rows(selection, offsets, data.true.camera, data.initial.camera)
     camera = data.initial.camera
+    rows, bound = frame_rows(selection, offsets, data.true.camera, camera, name=name)
     s_d, by_parameter, _ = camera.jacobian(selection.row_px, selection.col_px)
     alone = np.empty((len(rows), 1))
-    whiten_frame(arcs, camera.parameters, s_d, np.empty((len(s_d), 3, 0)), alone)
-    assert np.array_equal(alone[:, 0], rows[:, -1])
+    RESIDUAL_KERNELS[name].rows(*bound, camera.parameters, s_d, np.empty((len(s_d), 3, 0)), alone)
+    np.testing.assert_array_equal(alone[:, 0], rows[:, -1])
     assert by_parameter.shape[2] + 1 == rows.shape[1]
 
 

@@ -9,12 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from stcal.calibration import load
 from stcal.catalog import identifiers
 from stcal.cli import main
 from stcal.simulate import load_scenario, scenario_with, simulate
+from stcal.simulate.attitude import mounting_rotation
 from stcal.simulate.files import summary, write_simulation
+from stcal.telemetry.attitudes import read_attitudes
 from stcal.times import parse_utc
 
 ROOT = Path(__file__).parents[2]
@@ -81,6 +84,21 @@ def test_calibrations_and_truth_read_back(simulation, tmp_path):
     assert not list((tmp_path / "lean").rglob("*.npz"))
 
 
+def test_body_attitude_reads_back_with_its_noise(simulation, tmp_path):
+    path = write_simulation(simulation, tmp_path)["body attitude"]
+    body = read_attitudes(path)
+    assert len(body.t_tai_ns) == 42
+    sd = np.sqrt(np.diagonal(body.covariance, axis1=1, axis2=2))
+    np.testing.assert_allclose(sd, 30e-6)
+    parts = (simulation.calibration, simulation.validation)
+    times = np.concatenate([part.frames.t_tai_ns for part in parts])
+    q_si = np.concatenate([part.truth.q_si[::2] for part in parts])[np.argsort(times)]
+    c_bs = Rotation.from_quat(body.q_bi).inv() * Rotation.from_quat(q_si)
+    turn = (c_bs * mounting_rotation(simulation.scenario.mounting).inv()).as_rotvec()
+    np.testing.assert_allclose(turn.std(), 30e-6, rtol=0.25)
+    assert np.abs(turn.mean(axis=0)).max() < 4 * 30e-6 / np.sqrt(42)
+
+
 def test_first_pixel_convention_reaches_the_file(simulation, tmp_path):
     sensor = simulation.scenario.sensor
     detector = sensor.detector.model_copy(update={"first_pixel_centre_px": 0.5})
@@ -124,7 +142,7 @@ def test_command_equals_the_core_and_repeats_its_bytes(tmp_path, capsys):
     assert document["parts"] == summary(expected)
     write_simulation(expected, tmp_path / "b")
     made = sorted(p.relative_to(tmp_path / "a") for p in (tmp_path / "a").rglob("*.*"))
-    assert len(made) == 5
+    assert len(made) == 6
     for name in made:
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
     assert main(["simulate", str(path), "--out", str(tmp_path / "a"), "--seed", "8"]) == 0
@@ -176,4 +194,5 @@ def test_sample_telemetry_is_what_its_scenarios_make():
         for kind in ("calibration.csv.gz", "validation.csv.gz", "initial.json"):
             assert f"ST16-{number}.{kind}" in shipped
         load(SAMPLES / "truth" / f"ST16-{number}.json")
+        read_attitudes(SAMPLES / "body" / f"ST16-{number}.csv.gz")
     assert sum(path.stat().st_size for path in SAMPLES.rglob("*.*")) < 5_000_000
