@@ -41,6 +41,9 @@ study: $(VENV)/.installed
 	$(BIN)/python benchmarks/consistency.py --json study/consistency.json
 	$(BIN)/stcal study enright --out study/enright
 	$(BIN)/stcal study tracking --out study/tracking
+	$(BIN)/stcal study wu --out study/wu
+	$(BIN)/stcal study zhang --out study/zhang
+	$(BIN)/stcal study estimators --out study/estimators --page docs/which-estimator.md
 
 # Remake the simulated telemetry that is shipped.
 sample: $(VENV)/.installed

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from stcal.cli import study_enright, study_tracking
+from stcal.cli import study_enright, study_estimators, study_tracking, study_wu, study_zhang
 
 
 @click.group(name="study")
@@ -14,3 +14,6 @@ def command() -> None:
 
 command.add_command(study_enright.command)
 command.add_command(study_tracking.command)
+command.add_command(study_estimators.command)
+command.add_command(study_wu.command)
+command.add_command(study_zhang.command)

@@ -22,6 +22,9 @@ ALIGNMENT_SCHEMA = "stcal.alignment/1"
 CONVERSION_SCHEMA = "stcal.conversion/1"
 ENRIGHT_SCHEMA = "stcal.study.enright/1"
 TRACKING_SCHEMA = "stcal.study.tracking/1"
+ESTIMATORS_SCHEMA = "stcal.study.estimators/1"
+WU_SCHEMA = "stcal.study.wu/1"
+ZHANG_SCHEMA = "stcal.study.zhang/1"
 
 Document = Mapping[str, Any]
 Floats = NDArray[np.float64]

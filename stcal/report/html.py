@@ -18,20 +18,26 @@ from stcal.report import (
     content,
     conversion_html,
     enright_html,
+    estimators_html,
     figures,
     filter_figures,
     fit_content,
     fit_figures,
     tracking_html,
+    wu_html,
+    zhang_html,
 )
 from stcal.report.content import Table, Verdict
 from stcal.report.document import (
     ALIGNMENT_SCHEMA,
     CONVERSION_SCHEMA,
     ENRIGHT_SCHEMA,
+    ESTIMATORS_SCHEMA,
     FIT_SCHEMA,
     TRACKING_SCHEMA,
     VALIDATION_SCHEMA,
+    WU_SCHEMA,
+    ZHANG_SCHEMA,
     Document,
     numbers,
     section,
@@ -82,7 +88,10 @@ RENDERERS: dict[str, Callable[[Document], str]] = {
     ALIGNMENT_SCHEMA: align_report.render_alignment,
     CONVERSION_SCHEMA: conversion_html.render,
     ENRIGHT_SCHEMA: enright_html.render,
+    ESTIMATORS_SCHEMA: estimators_html.render,
     TRACKING_SCHEMA: tracking_html.render,
+    WU_SCHEMA: wu_html.render,
+    ZHANG_SCHEMA: zhang_html.render,
 }
 
 
