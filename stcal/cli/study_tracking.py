@@ -81,4 +81,4 @@ def _tables(document: dict[str, Any], report: Path, console: Console) -> None:
     from stcal.report.tables import tracking_tables
 
     tracking_tables(document, console)
-    console.print(Text(f"report: {report}"))
+    console.print(Text(f"report: {report}"), soft_wrap=True)

@@ -70,4 +70,4 @@ def _tables(document: dict[str, Any], report: Path, console: Console) -> None:
     from stcal.report.zhang_html import study_tables
 
     study_tables(document, console)
-    console.print(Text(f"report: {report}"))
+    console.print(Text(f"report: {report}"), soft_wrap=True)
