@@ -114,7 +114,7 @@ def direction_change(old: Calibration, new: Calibration) -> DirectionChange:
     InputError
         When a camera model breaks down on the detector.
     """
-    m, n = _grid(old.camera)
+    m, n = detector_grid(old.camera)
     with np.errstate(all="ignore"):  # checked below
         before, after = old.camera.directions(m, n), new.camera.directions(m, n)
     for name, found in zip(_names(old, new), (before, after), strict=True):
@@ -138,15 +138,17 @@ def _best_rotation(before: Floats, after: Floats) -> tuple[Floats, Floats]:
     from scipy.spatial.transform import Rotation
 
     rotation, _ = Rotation.align_vectors(after, before)
-    turned = rotation.apply(before)
+    return np.asarray(rotation.as_rotvec()), angles(after, rotation.apply(before))
+
+
+def angles(a: Floats, b: Floats) -> Floats:
+    """Return (S,) rad between unit vectors (S, 3)."""
     # 2 atan2(|a - b|, |a + b|): arccos loses small angles.
-    left = 2.0 * np.arctan2(
-        np.linalg.norm(after - turned, axis=1), np.linalg.norm(after + turned, axis=1)
-    )
-    return np.asarray(rotation.as_rotvec()), np.asarray(left)
+    apart, along = np.linalg.norm(a - b, axis=1), np.linalg.norm(a + b, axis=1)
+    return np.asarray(2.0 * np.arctan2(apart, along))
 
 
-def _grid(camera: Camera) -> tuple[Floats, Floats]:
+def detector_grid(camera: Camera) -> tuple[Floats, Floats]:
     """Return centroids (S,) over the detector, its edges included."""
     m, n = np.meshgrid(
         np.linspace(-0.5, camera.rows - 0.5, _GRID[0]),

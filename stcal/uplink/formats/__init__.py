@@ -1,0 +1,1 @@
+"""File formats of upload tables: an encoder and, written apart from it, a decoder of each."""
