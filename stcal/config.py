@@ -193,6 +193,17 @@ class Ingest(_Section):
     maximum_quarantine_share: Fraction = 0.05
 
 
+class Uplink(_Section):
+    """What may be sent to the spacecraft, beyond the gates of fit and validation."""
+
+    # Smallest and largest value of a parameter that the sensor may ever be given.
+    limits: dict[str, tuple[Finite, Finite]] = {}
+    # Largest change against what is on board: of a parameter in sigma (fit.maximum_change_sigma if
+    # not given), and the turn of C_SD.
+    maximum_change_sigma: Positive | None = None
+    maximum_turn_deg: Positive = 10.0
+
+
 class SensorConfig(_Section):
     """One sensor type, as its TOML file describes it."""
 
@@ -208,6 +219,7 @@ class SensorConfig(_Section):
     sequential: Sequential = Sequential()
     validation: Validation = Validation()
     ingest: Ingest = Ingest()
+    uplink: Uplink = Uplink()
 
     @model_validator(mode="after")
     def _noise_names(self) -> SensorConfig:
@@ -215,6 +227,9 @@ class SensorConfig(_Section):
         unknown = [name for name in self.sequential.process_noise if name not in names]
         if unknown:
             raise ValueError(f"sequential.process_noise: not a parameter: {', '.join(unknown)}")
+        unknown = [name for name in self.uplink.limits if name not in names]
+        if unknown:
+            raise ValueError(f"uplink.limits: not a parameter: {', '.join(unknown)}")
         return self
 
     def applies_to(self, sensor_id: str) -> bool:

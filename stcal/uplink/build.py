@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,59 +13,153 @@ from typing import Any
 import numpy as np
 
 from stcal.atomic import TEMPORARY_PREFIX, write_bytes
-from stcal.calibration import Calibration, load, sha256_of
+from stcal.calibration import Calibration, canonical_json, load, sha256_of
+from stcal.config import SensorConfig
 from stcal.errors import GateRefusalError, InputError
-from stcal.uplink import decode, encode
-from stcal.uplink.gates import Candidate, not_finite, refusals
+from stcal.uplink import decode, encode, manifest
+from stcal.uplink.gates import Candidate, Finding, judge, not_finite, refusals
+from stcal.uplink.tables import Checked, encode_checked
+from stcal.uplink.target import Target
+from stcal.uplink.verify import Difference, verify_dump
+
+ROLLBACK = "rollback/"
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What stands behind an upload beside the two calibrations.
+
+    Attributes
+    ----------
+    validation : the document of a validation of the two, or None
+    config, on_disk : of the sensor, as the store has them (``gates.Candidate``), or None
+    target : how the flight software holds a calibration, with its file, or None
+    readback : a dump of the table on board, or None
+    overrides : gate -> why its refusal doesn't count
+    """
+
+    validation: Mapping[str, Any] | None = None
+    config: SensorConfig | None = None
+    on_disk: Mapping[str, str] | None = None
+    target: tuple[Target, bytes] | None = None
+    readback: bytes | None = None
+    overrides: Mapping[str, str] | None = None
 
 
 @dataclass(frozen=True)
 class Built:
-    """An upload that passed: where it is, and whether it was there already."""
+    """An upload that passed: where it is, its manifest, and whether it was there already."""
 
     folder: Path
     calibration: Calibration
     parent: Calibration
-    sha256: dict[str, str]
+    manifest: dict[str, Any]
     existed: bool
 
 
 def build(
-    calibration_path: Path, parent_path: Path, out: Path, validation: dict[str, Any] | None = None
+    calibration_path: Path,
+    parent_path: Path,
+    out: Path,
+    evidence: Evidence,
+    report: Callable[[Mapping[str, Any]], str],
 ) -> Built:
-    """Write ``out/serial-NNNN`` with the calibration file and the parameter table.
+    """Write ``out/serial-NNNN``: calibration, tables of the target, rollback, report, manifest.
 
     Parameters
     ----------
     calibration_path, parent_path : the fitted calibration file and the one on board
-    validation : the document of a validation of these two files, or None
+    report : makes the HTML report of the manifest
 
     Raises
     ------
     GateRefusalError
-        With every reason; nothing is left behind.
+        With every reason of every gate that isn't overridden; nothing is left behind.
     InputError
         When a file cannot be read, or ``out`` is not a directory.
     """
-    _refuse(_not_finite(calibration_path))
+    _refuse(_not_finite(calibration_path), {})
+    new, old = load(calibration_path), load(parent_path)
+    files, table = _target_files(new, old, evidence)
     candidate = Candidate(
-        calibration=load(calibration_path),
+        calibration=new,
         sha256=sha256_of(calibration_path),
-        parent=load(parent_path),
+        parent=old,
         parent_sha256=sha256_of(parent_path),
-        validation=validation,
+        validation=evidence.validation,
+        config=evidence.config,
+        on_disk=evidence.on_disk,
+        readback=_readback(files, evidence),
+        table=table,
     )
-    _refuse(refusals(candidate))
-    new, old = candidate.calibration, candidate.parent
-    files = {
-        encode.CALIBRATION_FILE: encode.encode_calibration(new),
-        encode.TABLE_FILE: encode.encode_table(new, old),
-    }
-    _refuse(mismatches(files, new, old))
+    found, overrides = judge(candidate), dict(evidence.overrides or {})
+    _refuse(refusals(found, overrides), found)
+    files = _own_files(new, old) | files
+    _refuse(mismatches(files, new, old), found)
+    document = manifest.describe(candidate, files, found, overrides, evidence.target)
+    page = report(document).encode("utf-8")
+    files[manifest.REPORT] = page
+    document["files"][manifest.REPORT] = manifest.file_facts(page)
+    files[manifest.NAME] = canonical_json(document).encode("utf-8")
     folder = out / f"serial-{new.serial:04d}"
     existed = _place(files, out, folder)
-    written = {name: sha256_of(folder / name) for name in files}
-    return Built(folder, new, old, written, existed)
+    return Built(folder, new, old, document, existed)
+
+
+def _own_files(new: Calibration, old: Calibration) -> dict[str, bytes]:
+    """The canonical calibration and parameter table, and the calibration to roll back to."""
+    return {
+        encode.CALIBRATION_FILE: encode.encode_calibration(new),
+        encode.TABLE_FILE: encode.encode_table(new, old),
+        ROLLBACK + encode.CALIBRATION_FILE: encode.encode_calibration(old),
+    }
+
+
+def _target_files(
+    new: Calibration, old: Calibration, evidence: Evidence
+) -> tuple[dict[str, bytes], Checked | None]:
+    """Encode the new calibration and its parent for the target, and decode both again."""
+    if evidence.target is None:
+        return {}, None
+    target, source = evidence.target
+    rms = new.quality.get("rms_urad")
+    fitted = rms.get("fitted") if isinstance(rms, Mapping) else None
+    limit = float(fitted) if isinstance(fitted, int | float) else None
+    files, checked = encode_checked(new, target, limit)
+    back, checked_back = encode_checked(old, target, limit)
+    reasons = checked.reasons + [f"rollback: {reason}" for reason in checked_back.reasons]
+    rollback = {ROLLBACK + name: content for name, content in back.items()}
+    figures = checked.figures | {"rollback": checked_back.figures}
+    return {**files, manifest.TARGET: source, **rollback}, Checked(reasons, figures)
+
+
+def _readback(files: Mapping[str, bytes], evidence: Evidence) -> list[Difference] | None:
+    """Compare a dump of the table on board with the parent's encoding."""
+    if evidence.readback is None or evidence.target is None:
+        return None
+    built = {
+        name.removeprefix(ROLLBACK): content
+        for name, content in files.items()
+        if name.startswith(ROLLBACK)
+    }
+    return compare_dump(evidence.readback, built, evidence.target[0])
+
+
+def compare_dump(dump: bytes, built: Mapping[str, bytes], target: Target) -> list[Difference]:
+    """Return how a dump departs from the built binary files: from the one of its own form.
+
+    Raises
+    ------
+    InputError
+        When it is a damaged file, or there is no file of its form.
+    """
+    error = InputError("no binary table was built to compare with")
+    for name in manifest.binary_files(built):
+        try:
+            return verify_dump(dump, built[name], target)
+        except InputError as wrong:
+            error = wrong
+    raise error
 
 
 def mismatches(files: dict[str, bytes], new: Calibration, old: Calibration) -> list[str]:
@@ -99,17 +194,18 @@ def _not_finite(path: Path) -> list[str]:
         return []  # load() says what is wrong with the file
 
 
-def _refuse(reasons: list[str]) -> None:
+def _refuse(reasons: list[str], found: Mapping[str, Finding]) -> None:
     if reasons:
         error = GateRefusalError("upload refused: " + "; ".join(reasons))
-        error.document = {"accepted": False, "reasons": reasons}
+        gates = manifest.gate_facts(found, {}) if found else {}
+        error.document = {"accepted": False, "reasons": reasons, "gates": gates}
         raise error
 
 
 def _place(files: dict[str, bytes], out: Path, folder: Path) -> bool:
     """Move the files to their folder in one step; return whether equal ones were there."""
     if folder.exists() or folder.is_symlink():
-        _refuse(_conflicts(files, folder))
+        _refuse(_conflicts(files, folder), {})
         return True
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -126,7 +222,7 @@ def _place(files: dict[str, bytes], out: Path, folder: Path) -> bool:
             # Another build came first.
             if not folder.exists():
                 raise
-            _refuse(_conflicts(files, folder))
+            _refuse(_conflicts(files, folder), {})
             return True
     finally:
         shutil.rmtree(temporary, ignore_errors=True)

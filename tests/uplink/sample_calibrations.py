@@ -46,8 +46,21 @@ def fitted_document(parent_sha256: str, **parameters: float) -> dict[str, Any]:
         "serial": 2,
         "c_sd": rotation_z(1e-3),
         "covariance": {"parameters": list(WANG), "matrix": np.diag(np.square(SD)).tolist()},
-        "provenance": {**hashes, "parent_sha256": parent_sha256, "software": "synthetic"},
-        "quality": {"verdict": {"accepted": True, "reasons": []}},
+        "provenance": {
+            **hashes,
+            "parent_sha256": parent_sha256,
+            "software": "synthetic",
+            "from": "2026-01-01T00:00:00.000Z",
+            "to": "2026-01-02T00:00:00.000Z",
+        },
+        "quality": {
+            "verdict": {"accepted": True, "reasons": []},
+            "frames": 400,
+            "stars_used": 12000,
+            "coverage": 0.99,
+            "condition": {"scaled": 150.0},
+            "rms_urad": {"initial": 700.0, "fitted": 90.0},
+        },
     }
 
 
@@ -58,6 +71,7 @@ def validation_document(candidate: str, baseline: str) -> dict[str, Any]:
         "verdict": {"accepted": True, "reasons": []},
         "candidate": {"serial": 2, "sha256": candidate},
         "baseline": {"serial": 1, "sha256": baseline},
+        "span": {"from": "2026-01-03T00:00:00.000Z", "to": "2026-01-04T00:00:00.000Z"},
     }
 
 

@@ -24,6 +24,7 @@ from sample_calibrations import (
 from stcal.calibration import load, sha256_of
 from stcal.cli import main
 from stcal.errors import GateRefusalError
+from stcal.report.upload_html import render
 from stcal.uplink import build as building
 from stcal.uplink import encode
 
@@ -35,8 +36,23 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, di
     return code, json.loads(capsys.readouterr().out)
 
 
-def build_command(new: Path, parent: Path, out: Path, *more: object) -> list[object]:
-    return ["build", "--calibration", new, "--parent", parent, "--out", out, *more]
+# Gates that need a store or a validation, which most tests here are not about.
+APART = ("files", "fit-quality", "limits", "change", "validation", "held-out")
+
+
+def build_command(
+    new: Path, parent: Path, out: Path, *more: object, apart: tuple[str, ...] = APART
+) -> list[object]:
+    command = ["build", "--calibration", new, "--parent", parent, "--out", out, *more]
+    for gate in apart:
+        command += ["--override", gate, "--reason", "not under test"]
+    return command
+
+
+def build_upload(new: Path, parent: Path, out: Path, **evidence: Any) -> building.Built:
+    overrides = dict.fromkeys(APART, "not under test")
+    found = building.Evidence(**({"overrides": overrides} | evidence))
+    return building.build(new, parent, out, found, render)
 
 
 def test_build_writes_both_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -46,7 +62,10 @@ def test_build_writes_both_files(tmp_path: Path, capsys: pytest.CaptureFixture[s
     folder = tmp_path / "up" / "serial-0002"
     assert Path(document["folder"]) == folder
     assert sorted(os.listdir(tmp_path / "up")) == ["serial-0002"]
-    assert sorted(os.listdir(folder)) == ["calibration.json", "parameters.csv"]
+    assert sorted(os.listdir(folder)) == [
+        "calibration.json", "manifest.json", "parameters.csv", "report.html", "rollback",
+    ]  # fmt: skip
+    assert load(folder / "rollback" / "calibration.json").serial == 1
     assert document["sha256"]["calibration.json"] == sha256_of(folder / "calibration.json")
     again = load(folder / "calibration.json")
     assert again.camera.value("f_m") == 0.0159
@@ -55,7 +74,7 @@ def test_build_writes_both_files(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 def test_table_carries_value_sd_and_change(tmp_path: Path) -> None:
     new, parent = write_pair(tmp_path, f_m=0.0159, b2_per_m2=-1234.5)
-    folder = building.build(new, parent, tmp_path / "up").folder
+    folder = build_upload(new, parent, tmp_path / "up").folder
     with (folder / "parameters.csv").open(newline="") as stream:
         rows = {row["name"]: row for row in csv.DictReader(stream)}
     assert set(WANG) <= set(rows)
@@ -76,7 +95,7 @@ def test_table_carries_value_sd_and_change(tmp_path: Path) -> None:
 def test_canonical_input_keeps_its_bytes(tmp_path: Path) -> None:
     new, parent = write_pair(tmp_path)
     new.write_bytes(encode.encode_calibration(load(new)))
-    folder = building.build(new, parent, tmp_path / "up").folder
+    folder = build_upload(new, parent, tmp_path / "up").folder
     assert (folder / "calibration.json").read_bytes() == new.read_bytes()
 
 
@@ -84,8 +103,8 @@ def test_build_twice_is_the_same_and_other_content_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     new, parent = write_pair(tmp_path)
-    assert not building.build(new, parent, tmp_path / "up").existed
-    assert building.build(new, parent, tmp_path / "up").existed
+    assert not build_upload(new, parent, tmp_path / "up").existed
+    assert build_upload(new, parent, tmp_path / "up").existed
     kept = (tmp_path / "up/serial-0002/calibration.json").read_bytes()
     write(new, fitted_document(sha256_of(parent), f_m=0.0161))
     code, document = run(capsys, *build_command(new, parent, tmp_path / "up"))
@@ -171,7 +190,7 @@ def test_other_camera_model_is_refused(tmp_path: Path, monkeypatch: pytest.Monke
     document["camera"]["model"] = "other"
     write(new, document)
     with pytest.raises(GateRefusalError, match=r"camera\.model is 'other'"):
-        building.build(new, parent, tmp_path / "up")
+        build_upload(new, parent, tmp_path / "up")
     assert not (tmp_path / "up").exists()
 
 
@@ -195,7 +214,9 @@ def test_validation_must_be_accepted_and_belong(
     change(bad)
     path = tmp_path / "validation.json"
     write(path, bad)
-    command = build_command(new, parent, tmp_path / "up", "--validation", path)
+    apart = tuple(gate for gate in APART if gate not in ("validation", "held-out"))
+    more = ("--validation", path)
+    command = build_command(new, parent, tmp_path / "up", *more, apart=apart)
     code, answer = run(capsys, *command)
     assert code == 4
     assert len(answer["reasons"]) == 1
@@ -213,7 +234,7 @@ def test_all_reasons_at_once(tmp_path: Path) -> None:
     document |= {"serial": 1, "sensor_id": "X", "quality": {}}
     write(new, document)
     with pytest.raises(GateRefusalError) as caught:
-        building.build(new, parent, tmp_path / "up")
+        build_upload(new, parent, tmp_path / "up")
     assert caught.value.document is not None
     assert len(caught.value.document["reasons"]) == 3
 
@@ -256,7 +277,7 @@ def test_failing_disk_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr(building, "write_bytes", full)
     with pytest.raises(OSError, match="No space"):
-        building.build(new, parent, tmp_path / "up")
+        build_upload(new, parent, tmp_path / "up")
     assert os.listdir(tmp_path / "up") == []
 
 
@@ -283,11 +304,11 @@ def test_held_parameter_needs_no_variance(tmp_path: Path) -> None:
     document = json.loads(new.read_text())
     document["covariance"]["matrix"][7][7] = 0.0
     write(new, document)
-    building.build(new, parent, tmp_path / "up")
+    build_upload(new, parent, tmp_path / "up")
     document["camera"]["parameters"]["g_y"] = 1.1
     write(new, document)
     with pytest.raises(GateRefusalError, match=r"variance of g_y is 0\.0"):
-        building.build(new, parent, tmp_path / "up2")
+        build_upload(new, parent, tmp_path / "up2")
 
 
 def test_samples_are_what_they_seem() -> None:
