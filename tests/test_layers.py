@@ -13,7 +13,7 @@ LAYERS = [
     {"estimators", "metrics"},
     {"pipeline"},
     {"telemetry", "simulate", "report", "uplink"},
-    {"studies"},
+    {"operations", "studies"},
     {"cli", "__main__"},
 ]
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}

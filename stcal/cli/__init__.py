@@ -24,6 +24,7 @@ COMMANDS = {
     "validate": "Compare two calibrations on held-out telemetry.",
     "uplink": "Build and compare calibration upload files.",
     "report": "Make the HTML report of a fit or validation again.",
+    "recalibrate": "Run a shift's work: ingest, fit, validate and build for a fleet.",
     "summary": "Print one table of several validations.",
     "simulate": "Make telemetry of a simulated sensor.",
     "camera": "Convert calibrations between camera models.",

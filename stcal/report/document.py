@@ -19,6 +19,7 @@ from stcal.reading import read_json_object
 FIT_SCHEMA = "stcal.fit/1"
 VALIDATION_SCHEMA = "stcal.validation/1"
 ALIGNMENT_SCHEMA = "stcal.alignment/1"
+FLEET_SCHEMA = "stcal.fleet/1"
 CONVERSION_SCHEMA = "stcal.conversion/1"
 ENRIGHT_SCHEMA = "stcal.study.enright/1"
 TRACKING_SCHEMA = "stcal.study.tracking/1"

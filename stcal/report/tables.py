@@ -11,6 +11,7 @@ from stcal.report import (
     difference_content,
     enright_content,
     fit_content,
+    fleet_content,
     study_content,
     tracking_content,
 )
@@ -72,6 +73,17 @@ def conversion_tables(document: Document, console: Console) -> None:
     print_verdict(content.verdict(document, "Conversion"), document, console)
     print_table(conversion_content.error_table(document), console)
     print_table(conversion_content.parameter_table(document, "new"), console)
+
+
+def fleet_tables(document: Document, console: Console) -> None:
+    """Print a fleet's recalibration: what was not built and why, then a row per sensor."""
+    from rich.text import Text
+
+    verdict = fleet_content.fleet_verdict(document)
+    console.print(Text(verdict.sentence, style=f"bold {COLOURS[verdict.word]}"))
+    for line in (*verdict.reasons, *verdict.notes):
+        console.print(Text(f"  - {line}"))
+    print_table(fleet_content.fleet_table(document), console)
 
 
 def difference_tables(document: Document, console: Console) -> None:

@@ -94,6 +94,10 @@ class Store:
         filled = (f.name for f in folders if f.is_dir() and any(f.iterdir()))
         return sorted(unquote(name.removeprefix("sensor=")) for name in filled)
 
+    def files(self, sensor_id: str) -> list[Path]:
+        """Return the files with frames of a sensor, by day; none when there are none."""
+        return self._days(sensor_id)
+
     def fragments(
         self,
         sensor_id: str,
