@@ -33,9 +33,9 @@ DOCUMENT, INDEX = "recalibration.json", "index.html"
 def command(context: click.Context, plan: Path, workers: int, as_json: bool) -> None:
     """Ingest, fit, validate and build the uploads of all sensors that PLAN.toml lists.
 
-    A sensor that fails or is refused doesn't stop the others.  Run again, it goes on where it ended:
-    a step whose command, inputs and outputs are unchanged isn't repeated.  Ends with the worst exit
-    code.
+    A sensor that fails or is refused doesn't stop the others.  Run again, it goes on where it
+    ended: a step whose command, inputs and outputs are unchanged isn't repeated.  Ends with the
+    worst exit code.
     """
     from stcal.execution import scheduler
     from stcal.operations.plan import load_plan

@@ -1,4 +1,4 @@
-"""Run a plan: each step a process of its own, so that a fleet's good sensors go on when one fails."""
+"""Run a plan: each step a process of its own, so that one failing sensor leaves the others."""
 
 from __future__ import annotations
 

@@ -37,6 +37,9 @@ _CYCLE_COLUMNS = ("Cycle", "Matching", "Frames solved", "Matched stars", "Matche
 # And of a study's variants.
 _DRIFT_COLUMNS = ("Focal length", "Within 3 sd", "Within 1 sd", "Rms error [µm]",
                   "Rms of error / sd", "Late [s]", "RMS / true")  # fmt: skip
+# And of a fleet's sensors.
+_FLEET_COLUMNS = ("Sensor", "State", "Availability initial", "Availability final",
+                  "Matched star ratio", "RMS initial [µrad]", "RMS final [µrad]")  # fmt: skip
 _STEP_COLUMNS = ("Variant", "f: frames until within 3 sd", "f within 3 sd",
                  "m0: frames until within 3 sd", "m0 within 3 sd", "RMS / true")  # fmt: skip
 
@@ -83,7 +86,7 @@ def fleet_tables(document: Document, console: Console) -> None:
     console.print(Text(verdict.sentence, style=f"bold {COLOURS[verdict.word]}"))
     for line in (*verdict.reasons, *verdict.notes):
         console.print(Text(f"  - {line}"))
-    print_table(fleet_content.fleet_table(document), console)
+    print_table(only_columns(fleet_content.fleet_table(document), _FLEET_COLUMNS), console)
 
 
 def difference_tables(document: Document, console: Console) -> None:
