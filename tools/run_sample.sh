@@ -25,6 +25,7 @@ for n in $SENSORS; do
       --out "$out/validation"
     "$stcal" uplink build --calibration "$out/fit/calibration.json" \
       --parent "$sample/$sensor.initial.json" --validation "$out/validation/validation.json" \
+      --store "$RUN/store/calibration" --target configs/targets/st16_cfs.toml \
       --out "$out/uplink"
     "$stcal" report "$out/fit/fit.json" "$out/validation/validation.json" \
       --out "$out/report.html"

@@ -53,12 +53,21 @@ class FitChoice(_Section):
     options: list[Text] = []
 
 
+class Override(_Section):
+    """A gate of the upload whose refusal does not count, and why; the manifest keeps both."""
+
+    gate: Text
+    reason: Text
+
+
 class Sensor(_Section):
     """One sensor: its calibration on board, and which frames fit and judge."""
 
     sensor_id: FolderName
-    # The calibration that the sensor flies with: a file, or a dump read back.
+    # The calibration that the sensor flies with, and a dump of its table if one was read back.
     onboard: Text
+    readback: Text | None = None
+    overrides: list[Override] = []
     fit: Span = Span()
     validate_: Span = Field(default=Span(), alias="validate")
     method: FitChoice | None = None

@@ -88,11 +88,14 @@ def _build_step(
     onboard = file.resolve(sensor.onboard)
     arguments = ["uplink", "build", "--calibration", str(fitted), "--parent", str(onboard)]
     arguments += ["--validation", str(validation), "--out", str(folder / "uplink")]
+    arguments += ["--store", str(file.store)]
     inputs = [*telemetry, onboard, fitted, validation]
-    if file.plan.target is not None:
-        target = file.resolve(file.plan.target)
-        arguments += ["--target", str(target)]
-        inputs.append(target)
+    for option, name in (("--target", file.plan.target), ("--readback", sensor.readback)):
+        if name is not None:
+            arguments += [option, str(file.resolve(name))]
+            inputs.append(file.resolve(name))
+    for override in sensor.overrides:
+        arguments += ["--override", override.gate, "--reason", override.reason]
     return Step("build", tuple(arguments), folder, tuple(inputs), (folder / "uplink",))
 
 
