@@ -35,6 +35,7 @@ bench: $(VENV)/.bench
 	$(BIN)/python benchmarks/identification.py --json bench/identification.json
 	$(BIN)/python benchmarks/batch_fit.py --json bench/batch_fit.json
 	$(BIN)/python benchmarks/sequential.py --json bench/sequential.json
+	$(BIN)/python benchmarks/packets.py --json bench/packets.json
 
 study: $(VENV)/.installed
 	$(BIN)/python benchmarks/study.py --runs 50 --json study/study.json
@@ -50,6 +51,7 @@ sample: $(VENV)/.installed
 	@for n in $(SENSORS); do \
 	  $(BIN)/stcal simulate configs/scenarios/st16-$$n.toml --out sample_telemetry --seed 1 \
 	    --no-truth-columns || exit $$?; done
+	$(BIN)/python tools/sample_downlink.py
 
 clean:
 	rm -rf $(RUN) bench study build .pytest_cache .mypy_cache .ruff_cache .hypothesis

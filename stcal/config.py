@@ -189,6 +189,10 @@ class Ingest(_Section):
     """What ingest accepts."""
 
     quaternion_norm_tolerance: Positive = 1e-3
+    # A frame whose time lies further than this before or behind those of its neighbours in the
+    # source is refused, when the neighbours agree.  Below it a wrong time does no harm: in a
+    # minute the Earth's velocity turns by 0.001 urad of aberration.
+    maximum_backwards_s: Positive = 60.0
     # Exit code 5 when a larger share of rows is quarantined.
     maximum_quarantine_share: Fraction = 0.05
 
@@ -249,7 +253,7 @@ def load_config(path: Path) -> SensorConfig:
     try:
         config = SensorConfig.model_validate(document)
     except ValidationError as error:
-        lines = _lines(error)
+        lines = error_lines(error)
         camera = document.get("camera")
         # Pydantic checks a section as a whole only when each of its fields is right.
         if isinstance(camera, dict) and not any(e["loc"] == ("camera",) for e in error.errors()):
@@ -277,7 +281,8 @@ def path_beside(file: Path, name: str, key: str) -> Path:
         raise ConfigError(f"{file}:\n  {key}: {name!r}: {error}") from None
 
 
-def _lines(error: ValidationError) -> list[str]:
+def error_lines(error: ValidationError) -> list[str]:
+    """Return a line for each error, with the place in the file."""
     lines = []
     for item in error.errors():
         where = ".".join(str(part) for part in item["loc"]) or "file"
@@ -295,7 +300,7 @@ def config_from_json(text: str, path: Path) -> SensorConfig:
     try:
         return SensorConfig.model_validate_json(text)
     except ValidationError as error:
-        raise ConfigError(f"{path}:\n" + "\n".join(_lines(error))) from None
+        raise ConfigError(f"{path}:\n" + "\n".join(error_lines(error))) from None
 
 
 def config_sha256(config: SensorConfig) -> str:

@@ -18,6 +18,8 @@ from stcal.version import __version__
 # Name and one line of help, so that `stcal --help` imports no command.
 COMMANDS = {
     "ingest": "Read downlinked telemetry into a Parquet store.",
+    "quarantine": "List, show and try again what ingest refused.",
+    "packets": "Explain packet layouts and write them as XTCE.",
     "match": "Identify the stars of stored telemetry with a calibration.",
     "fit": "Refit the camera from stored telemetry.",
     "align": "Estimate how a sensor sits in the spacecraft's body.",

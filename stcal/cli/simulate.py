@@ -34,19 +34,36 @@ if TYPE_CHECKING:
     default=True,
     help="Also write the truth of every star and exposure (truth/*.truth.npz).",
 )
+@click.option(
+    "--packets",
+    "layout_file",
+    type=click.Path(path_type=Path),
+    help="Also write the telemetry as CCSDS packets of this layout.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
-def command(scenario_file: Path, out: Path, seed: int, truth_columns: bool, as_json: bool) -> None:
+def command(
+    scenario_file: Path,
+    out: Path,
+    seed: int,
+    truth_columns: bool,
+    layout_file: Path | None,
+    as_json: bool,
+) -> None:
     """Make telemetry of a simulated sensor, as SCENARIO.toml describes it."""
     from stcal.simulate import load_scenario, simulate
-    from stcal.simulate.files import summary, write_simulation
+    from stcal.simulate.files import summary, write_packets, write_simulation
+    from stcal.telemetry.packet_layout import load_layout
 
     output_folder(out)
+    layout = load_layout(layout_file) if layout_file is not None else None
     scenario = load_scenario(scenario_file)
     with progress(f"Simulating {scenario.sensor_id}", total=2) as bar:
         simulation = simulate(scenario, seed)
         bar.advance(1)
         bar.describe(f"Writing {out}")
         files = write_simulation(simulation, out, truth_columns)
+        if layout is not None:
+            files |= write_packets(simulation, layout, out)
         bar.advance(1)
     document: dict[str, Any] = {
         "sensor_id": scenario.sensor_id,

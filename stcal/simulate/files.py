@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from stcal.calibration import save
 from stcal.simulate.detector import CENTROID_DECIMALS
 from stcal.simulate.scenario import PARTS
 from stcal.simulate.simulation import SimulatedPart, Simulation, body_attitudes
+
+if TYPE_CHECKING:
+    from stcal.telemetry.packet_layout import PacketLayout
 
 
 def write_simulation(
@@ -46,6 +49,19 @@ def write_simulation(
         files["truth"] = folder / "truth" / f"{sensor}.truth.npz"
         columns = _truth_columns(simulation)
         write_with(files["truth"], partial(_save_columns, columns))
+    return files
+
+
+def write_packets(simulation: Simulation, layout: PacketLayout, folder: Path) -> dict[str, Path]:
+    """Write the telemetry of both parts as packets, ``<sensor>.<part>.ccsds``; return the paths."""
+    from stcal.telemetry import packet_writer
+
+    sensor = simulation.scenario.sensor_id
+    first_pixel = simulation.scenario.sensor.detector.first_pixel_centre_px
+    files = {f"{name} packets": folder / f"{sensor}.{name}.ccsds" for name in PARTS}
+    for name in PARTS:
+        frames = getattr(simulation, name).frames
+        packet_writer.write_packets(layout, frames, files[f"{name} packets"], first_pixel)
     return files
 
 

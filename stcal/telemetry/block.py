@@ -1,4 +1,4 @@
-"""What every decoder yields: telemetry rows as columns of text."""
+"""What every decoder yields: telemetry rows as columns of text, or of values."""
 
 from __future__ import annotations
 
@@ -17,29 +17,56 @@ class RowBlock:
 
     Attributes
     ----------
-    columns : one Arrow string array of length n for every name in ``columns.COLUMNS``; an empty
-        value is null or ``''``
+    columns : for every name in ``columns.COLUMNS`` an Arrow string array of length n, whose empty
+        values are null or ``''``, or a :class:`stcal.telemetry.typed.Typed` column
     row : (n,) the line that each row stands on
     run : (n,) index of the run of neighbouring rows that belong to one frame, from 0, without gaps
-    raw : the text of row i, for quarantine
-    raw_line : the text of the line that row i stands on
+    raw : the bytes of what row i stands in (its line, packet or record) as the source has them
+    offset : (n,) where those bytes begin in the decompressed source; -1 where they stand in no
+        one place
     rejected : rows of these lines that could not be read at all
     lines_are_frames : one line gives a whole frame, so that runs are never joined
+    frames_span_lines : runs are joined although a line is not a row: an exposure a packet
     truncated_run : the file ends too early, and its last run may lack rows
     """
 
     columns: dict[str, Any]
     row: Ints
     run: Ints
-    raw: Callable[[int], str]
-    raw_line: Callable[[int], str]
+    raw: Callable[[int], bytes]
+    offset: Ints
     rejected: list[Rejection]
     lines_are_frames: bool = False
+    frames_span_lines: bool = False
     truncated_run: bool = False
 
     def __len__(self) -> int:
         """Return the number of rows n."""
         return len(self.row)
+
+
+@dataclass(frozen=True)
+class Again:
+    """How raw bytes that were kept are decoded again.
+
+    Attributes
+    ----------
+    decode : as a :class:`Decoder` does; the file is ``prefix`` and the pieces, ``separator``
+        after the prefix and after every piece
+    one_by_one : every piece is a file of its own, since pieces side by side could be taken for one
+    show : a piece as text, for formats whose bytes say nothing to a reader
+    """
+
+    decode: Callable[[SourceFile, Callable[[str], None]], Iterator[RowBlock]]
+    prefix: bytes = b""
+    separator: bytes = b""
+    one_by_one: bool = False
+    show: Callable[[bytes], str] | None = None
+
+
+def no_context(source: SourceFile) -> bytes:
+    """For formats whose records say everything themselves."""
+    return b""
 
 
 @dataclass(frozen=True)
@@ -52,14 +79,15 @@ class Decoder:
     sniff : whether a file that begins with these bytes is of this format
     decode : yields the file's blocks; calls the second argument with what the user should know.
         Raises InputError naming the file when it is not of this format after all
+    context : what it takes, beside raw bytes of the file, to decode these again
+    text : whether the file is UTF-8 text in lines, which is then checked beforehand
+    report : when all blocks have come, what there is to say about the file as a whole
     """
 
     name: str
     extensions: tuple[str, ...]
     sniff: Callable[[bytes], bool]
     decode: Callable[[SourceFile, Callable[[str], None]], Iterator[RowBlock]]
-
-
-def text_of(line: bytes) -> str:
-    """Return a line as text for quarantine; bytes that are not UTF-8 are written as escapes."""
-    return line.rstrip(b"\r\n").decode("utf-8", "backslashreplace")
+    context: Callable[[SourceFile], bytes] = no_context
+    text: bool = True
+    report: Callable[[], dict[str, Any]] | None = None

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 from urllib.parse import quote
 
-from stcal.atomic import write_text
+from stcal.atomic import write_bytes, write_text
 from stcal.config import SensorConfig, config_from_json, config_json
 from stcal.errors import ConfigError
 from stcal.telemetry.parquet import make_folder
 
+if TYPE_CHECKING:
+    from stcal.telemetry.packet_layout import PacketLayout
+
 FOLDER = "configs"
+LAYOUTS = "layouts"
 
 
 def record(store: Path, configs: Sequence[SensorConfig]) -> None:
@@ -24,6 +30,27 @@ def record(store: Path, configs: Sequence[SensorConfig]) -> None:
             write_text(path, content)
 
 
+def recorded(store: Path) -> list[SensorConfig]:
+    """Return every recorded configuration, in the order of their names.
+
+    Raises
+    ------
+    ConfigError
+        One is damaged.
+    """
+    paths = sorted((store / FOLDER).glob("*.json"))
+    return [config_from_json(_read(path), path) for path in paths]
+
+
+def record_layout(store: Path, layout: PacketLayout) -> None:
+    """Keep a packet layout's file under its hash, so that all that were ever used are there."""
+    digest = hashlib.sha256(layout.source).hexdigest()
+    path = store / LAYOUTS / f"{digest}.toml"
+    if not path.exists():
+        make_folder(path.parent)
+        write_bytes(path, layout.source)
+
+
 def recorded_for(store: Path, sensor_id: str) -> SensorConfig:
     """Return the recorded configuration that applies to a sensor.
 
@@ -32,11 +59,7 @@ def recorded_for(store: Path, sensor_id: str) -> SensorConfig:
     ConfigError
         None applies, or more than one does, or one is damaged.
     """
-    found = []
-    for path in sorted((store / FOLDER).glob("*.json")):
-        config = config_from_json(_read(path), path)
-        if config.applies_to(sensor_id):
-            found.append(config)
+    found = [config for config in recorded(store) if config.applies_to(sensor_id)]
     if len(found) == 1:
         return found[0]
     what = "no configuration" if not found else "more than one configuration"

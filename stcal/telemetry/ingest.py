@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,22 +19,30 @@ from stcal.errors import ConfigError, InputError
 from stcal.frames import Bools, Ints
 from stcal.telemetry import configurations, quarantine
 from stcal.telemetry.assemble import Assembled, assemble
-from stcal.telemetry.decoders import choose
+from stcal.telemetry.block import Decoder
+from stcal.telemetry.decoders import choose, of_mapping
 from stcal.telemetry.merge import Outcome
 from stcal.telemetry.names import printable
-from stcal.telemetry.quarantine import CONFLICT, Rejection
+from stcal.telemetry.ordering import Validated, in_order
+from stcal.telemetry.quarantine import CONFLICT, Origin, Rejection
 from stcal.telemetry.schema import StoredFrames
 from stcal.telemetry.sensors import Sensors
-from stcal.telemetry.sources import SourceFile, examine, find_sources
+from stcal.telemetry.sources import EXTENSIONS, SourceFile, examine, find_sources
 from stcal.telemetry.store import Store
 from stcal.telemetry.summary import IngestSummary, SourceSummary, unique
 from stcal.telemetry.validate import RUN, STAR, validate
 from stcal.times import utc_day
 
+if TYPE_CHECKING:
+    from stcal.telemetry.mapping import SourceMapping
+    from stcal.telemetry.packet_layout import PacketLayout
+
 WINDOW_ROWS = 500_000
+PACKET_EXTENSIONS = (".ccsds", ".ccsds.gz", ".bin", ".bin.gz", ".pkt", ".pkt.gz")
 # Frames of a window's last rows wait for the next one: rows of a frame are joined when they lie
 # within this distance, or in one window.
 HELD_ROWS = 20_000
+_RAW_BYTES_A_ROW = 256
 
 # (source, done files, all files), called before each file and after the last.
 Progress = Callable[[str, int, int], None]
@@ -46,6 +54,8 @@ def ingest(
     configs: Sequence[SensorConfig],
     progress: Progress | None = None,
     window_rows: int = WINDOW_ROWS,
+    packets: PacketLayout | None = None,
+    mapping: SourceMapping | None = None,
 ) -> IngestSummary:
     """Read downlink files into the store.
 
@@ -56,6 +66,8 @@ def ingest(
     ----------
     sources : files, and folders whose telemetry files are taken in the order of their names
     configs : which sensors are known, and what is valid for them
+    packets : the layout of files that are no text, recorded in the store too
+    mapping : the columns of the sources, which all are tables of that form
 
     Raises
     ------
@@ -65,26 +77,41 @@ def ingest(
         Several configurations apply to one sensor.
     """
     sensors = Sensors(configs)
-    files = find_sources(list(sources))
+    extensions = EXTENSIONS + (PACKET_EXTENSIONS if packets is not None else ())
+    if mapping is not None:
+        extensions = mapping.extensions
+    files = find_sources(list(sources), extensions)
     summaries = []
     with store.lock():
         configurations.record(store.root, configs)
+        if packets is not None:
+            configurations.record_layout(store.root, packets)
         for done, path in enumerate(files):
             if progress is not None:
                 progress(printable(path.name), done, len(files))
-            summaries.append(_ingest_file(path, store, sensors, window_rows))
+            foreign = None if mapping is None else of_mapping(mapping)
+            summaries.append(_ingest_file(path, store, sensors, window_rows, packets, foreign))
     if progress is not None:
         progress("", len(files), len(files))
     share = min((config.ingest.maximum_quarantine_share for config in configs), default=0.0)
     return IngestSummary(tuple(summaries), share)
 
 
-def _ingest_file(path: Path, store: Store, sensors: Sensors, window_rows: int) -> SourceSummary:
+def _ingest_file(
+    path: Path,
+    store: Store,
+    sensors: Sensors,
+    window_rows: int,
+    packets: PacketLayout | None,
+    foreign: Decoder | None,
+) -> SourceSummary:
     summary = SourceSummary(Path(printable(path)))
     warnings: list[str] = []
     try:
-        source = examine(path)
-        decoder = choose(source)
+        is_text = packets is None if foreign is None else foreign.text
+        source = examine(path, is_text)
+        decoder = choose(source, packets) if foreign is None else foreign
+        origin = Origin(decoder.name, decoder.context(source))
         blocks = decoder.decode(source, warnings.append)
     except InputError as error:
         summary.error = printable(str(error))
@@ -93,10 +120,11 @@ def _ingest_file(path: Path, store: Store, sensors: Sensors, window_rows: int) -
     parts: list[Path] = []
     windows = _until_error(_windows(blocks, sensors, window_rows), summary)
     for number, window in enumerate(windows):
-        parts += _commit(window, number, source, store, sensors, summary)
+        parts += _commit(window, number, source, origin, store, sensors, summary)
     if summary.error is not None:
         return summary
     quarantine.remove_other_parts(store.root, source.sha256, parts)
+    summary.packets = decoder.report() if decoder.report is not None else None
     if summary.counts.rows == 0:
         warnings.append("the file holds no rows")
     if source.truncated:
@@ -107,7 +135,7 @@ def _ingest_file(path: Path, store: Store, sensors: Sensors, window_rows: int) -
     return summary
 
 
-def _until_error(windows: Iterator[_Window], summary: SourceSummary) -> Iterator[_Window]:
+def _until_error(windows: Iterator[Window], summary: SourceSummary) -> Iterator[Window]:
     """Yield windows until the file turns out not to be usable; the store's errors pass."""
     while True:
         try:
@@ -123,7 +151,7 @@ def _until_error(windows: Iterator[_Window], summary: SourceSummary) -> Iterator
 
 
 @dataclass
-class _Window:
+class Window:
     """Rows in memory: good runs with their stars, and what was refused."""
 
     runs: Any = field(default_factory=lambda: np.empty(0, RUN))
@@ -132,32 +160,37 @@ class _Window:
 
     @property
     def size(self) -> int:
-        return len(self.stars) + len(self.runs) + len(self.rejected)
+        """About how many rows take as much memory."""
+        # A record holds its line, which may be a whole frame.
+        refused = sum(1 + len(record.raw) // _RAW_BYTES_A_ROW for record in self.rejected)
+        return len(self.stars) + len(self.runs) + refused
 
 
-def _windows(blocks: Iterator[Any], sensors: Sensors, window_rows: int) -> Iterator[_Window]:
+def _windows(blocks: Iterator[Any], sensors: Sensors, window_rows: int) -> Iterator[Window]:
     """Yield windows; the frames of a window's last rows go on into the next."""
-    parts: list[_Window] = []
-    for block in blocks:
-        parts.append(_Window(*validate(block, sensors)))
+    parts: list[Window] = []
+    validated = (Validated(block, *validate(block, sensors)) for block in blocks)
+    for checked in in_order(validated, sensors):
+        parts.append(Window(checked.runs, checked.stars, checked.rejected))
         if sum(part.size for part in parts) >= window_rows:
-            done, held = _hold(_join(parts))
+            done, held = _hold(join(parts))
             parts = [held]
             yield done
-    yield _join(parts)
+    yield join(parts)
 
 
-def _join(parts: list[_Window]) -> _Window:
+def join(parts: list[Window]) -> Window:
+    """Return the rows of all parts, the runs of their stars counted on."""
     if not parts:
-        return _Window()
+        return Window()
     shift = np.cumsum([0, *(len(part.runs) for part in parts)])
     stars = np.concatenate([part.stars for part in parts])
     stars["run"] += np.repeat(shift[:-1], [len(part.stars) for part in parts])
     rejected = [record for part in parts for record in part.rejected]
-    return _Window(np.concatenate([part.runs for part in parts]), stars, rejected)
+    return Window(np.concatenate([part.runs for part in parts]), stars, rejected)
 
 
-def _hold(window: _Window) -> tuple[_Window, _Window]:
+def _hold(window: Window) -> tuple[Window, Window]:
     """Split off the frames that the next window may have more rows of."""
     runs = window.runs
     recent = runs["row"] >= runs["row"].max(initial=0) - HELD_ROWS
@@ -173,16 +206,17 @@ def _packed(keys: Any) -> Any:
     return np.ascontiguousarray(whole).view(np.dtype((np.void, 8 * whole.shape[1]))).ravel()
 
 
-def _select(window: _Window, runs: Bools, rejected: list[Rejection]) -> _Window:
+def _select(window: Window, runs: Bools, rejected: list[Rejection]) -> Window:
     stars = window.stars[runs[window.stars["run"]]]
     stars["run"] = (np.cumsum(runs) - 1)[stars["run"]]
-    return _Window(window.runs[runs], stars, rejected)
+    return Window(window.runs[runs], stars, rejected)
 
 
 def _commit(
-    window: _Window,
+    window: Window,
     number: int,
     source: SourceFile,
+    origin: Origin,
     store: Store,
     sensors: Sensors,
     summary: SourceSummary,
@@ -192,7 +226,7 @@ def _commit(
     if window.rejected:
         parts.append(
             quarantine.write_source_part(
-                store.root, source.name, source.sha256, number, window.rejected
+                store.root, source.name, source.sha256, number, window.rejected, origin
             )
         )
     for record in window.rejected:
@@ -202,15 +236,15 @@ def _commit(
     summary.counts.quarantined_rows += quarantined
     if len(window.runs):
         frames = assemble(window.runs, window.stars)
-        for which, sensor_id, day in _days(frames, sensors):
-            incoming = _with_source(frames, which, sensor_id, source)
+        for which, sensor_id, day in by_day(frames, sensors):
+            incoming = with_source(frames, which, sensor_id, source)
             outcome = store.merge_day(day, incoming).outcome
             _count(summary, frames, which, outcome)
             summary.sensors.add(sensor_id)
     return parts
 
 
-def _days(frames: Assembled, sensors: Sensors) -> Iterator[tuple[Ints, str, str]]:
+def by_day(frames: Assembled, sensors: Sensors) -> Iterator[tuple[Ints, str, str]]:
     """Yield the frames of every sensor and UTC day, in that order."""
     day = utc_day(frames.frames.t_tai_ns).astype(np.int64)
     order = np.lexsort((day, frames.sensor))
@@ -220,9 +254,8 @@ def _days(frames: Assembled, sensors: Sensors) -> Iterator[tuple[Ints, str, str]
         yield which, name, str(np.datetime64(int(day[which[0]]), "D"))
 
 
-def _with_source(
-    frames: Assembled, which: Ints, sensor_id: str, source: SourceFile
-) -> StoredFrames:
+def with_source(frames: Assembled, which: Ints, sensor_id: str, source: SourceFile) -> StoredFrames:
+    """Return the frames ``which`` of one sensor under its name, with where they came from."""
     n = len(which)
     return StoredFrames(
         frames.of_sensor(which, sensor_id),

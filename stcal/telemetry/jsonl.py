@@ -19,7 +19,7 @@ import pyarrow.json as arrow_json
 from stcal.frames import Ints
 from stcal.telemetry.block import Decoder, RowBlock
 from stcal.telemetry.columns import COLUMNS, OPTIONAL_COLUMNS, STAR_COLUMNS
-from stcal.telemetry.jsonl_lines import LISTS, WHOLE_LINE, raw_of, read_line, read_lines
+from stcal.telemetry.jsonl_lines import LISTS, Lines, read_line, read_lines
 from stcal.telemetry.sources import BLOCK_BYTES, LineBlock, LineReader, SourceFile, stream
 
 _BOM = b"\xef\xbb\xbf"
@@ -36,34 +36,25 @@ def decode(
 ) -> Iterator[RowBlock]:
     """Yield the rows of a JSON Lines file; every line is a frame of its own."""
     for block in LineReader(stream(source), block_bytes).blocks():
-        data = block.data.removeprefix(_BOM) if block.first_row == 1 else block.data
-        lines, number = _split(LineBlock(data, block.first_row, block.last))
-        cut = source.truncated and block.last and not data.endswith(b"\n")
-        unfolded = None if cut else _unfold(lines, warn)
+        lines = _split(block)
+        cut = source.truncated and block.last and not block.data.endswith(b"\n")
+        unfolded = None if cut else _unfold(lines.data, warn)
         if unfolded is None:
-            yield read_lines(lines, number, cut, warn)
+            yield read_lines(lines, cut, warn)
         else:
-            columns, line, star = unfolded
-            yield RowBlock(
-                columns=columns,
-                row=number[line],
-                run=line,
-                raw=_raw(lines, line, star),
-                raw_line=_raw(lines, line, np.full(len(line), WHOLE_LINE)),
-                rejected=[],
-                lines_are_frames=True,
-            )
+            yield lines.rows(*unfolded, rejected=[])
 
 
-def _raw(lines: list[bytes], line: Ints, star: Ints) -> Callable[[int], str]:
-    return lambda i: raw_of(lines[int(line[i])], int(star[i]))
-
-
-def _split(block: LineBlock) -> tuple[list[bytes], Ints]:
-    """Return the lines that are not blank, and their numbers in the file."""
-    lines = block.data.split(b"\n")
-    kept = [i for i, line in enumerate(lines) if line.strip()]
-    return [lines[i] for i in kept], block.first_row + np.array(kept, dtype=np.int64)
+def _split(block: LineBlock) -> Lines:
+    """Return the lines that are not blank; a byte-order mark at the file's start is cut."""
+    whole = block.data.split(b"\n")
+    start = block.offset + np.cumsum([0, *(len(line) + 1 for line in whole[:-1])])
+    if block.first_row == 1 and whole[0].startswith(_BOM):
+        whole[0] = whole[0].removeprefix(_BOM)
+        start[0] += len(_BOM)
+    kept = [i for i, line in enumerate(whole) if line.strip()]
+    number = block.first_row + np.array(kept, dtype=np.int64)
+    return Lines([whole[i].rstrip(b"\r") for i in kept], number, start[kept])
 
 
 def _schema() -> pa.Schema:
@@ -87,12 +78,10 @@ def _schema() -> pa.Schema:
     return pa.schema(fields)
 
 
-def _unfold(
-    lines: list[bytes], warn: Callable[[str], None]
-) -> tuple[dict[str, Any], Ints, Ints] | None:
-    """Return (columns as text, line of every row, star within its line); None if Arrow balks."""
+def _unfold(lines: list[bytes], warn: Callable[[str], None]) -> tuple[dict[str, Any], Ints] | None:
+    """Return (columns as text, line of every row); None if Arrow balks."""
     if not lines:
-        return {column.name: pa.array([], pa.string()) for column in COLUMNS}, _NONE, _NONE
+        return {column.name: pa.array([], pa.string()) for column in COLUMNS}, _NONE
     table = _parse(lines, "error")
     if table is None:
         table = _parse(lines, "ignore")
@@ -104,16 +93,16 @@ def _unfold(
     stars = _stars(frame)
     if stars is None or not _regular_lists(frame):
         return None
-    star_columns, line, star = stars
+    star_columns, line = stars
     columns = {name: text.take(pa.array(line)) for name, text in _frame_texts(frame)}
-    return columns | star_columns, line, star
+    return columns | star_columns, line
 
 
 _NONE = np.zeros(0, dtype=np.int64)
 
 
-def _stars(frame: dict[str, Any]) -> tuple[dict[str, Any], Ints, Ints] | None:
-    """Return the star columns with one row a star (or a line without stars), line and place."""
+def _stars(frame: dict[str, Any]) -> tuple[dict[str, Any], Ints] | None:
+    """Return the star columns with one row a star (or a line without stars), and the lines."""
     exposures = frame["exposures"]
     each = exposures.flatten()
     if exposures.null_count or each.null_count or each.field("stars").null_count:
@@ -134,9 +123,7 @@ def _stars(frame: dict[str, Any]) -> tuple[dict[str, Any], Ints, Ints] | None:
     texts = {"exposure": exposure}
     for column in STAR_COLUMNS[1:]:
         texts[column.name] = pc.cast(detections.field(column.name), pa.string())
-    first = np.concatenate(([0], np.cumsum(rows)[:-1]))
-    star = np.where(is_star, np.arange(len(line)) - first[line], WHOLE_LINE)
-    return {name: text.take(place) for name, text in texts.items()}, line, star
+    return {name: text.take(place) for name, text in texts.items()}, line
 
 
 def _regular_lists(frame: dict[str, Any]) -> bool:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
 from stcal.frames import Ints
-from stcal.telemetry.block import RowBlock, text_of
+from stcal.telemetry.block import RowBlock
 from stcal.telemetry.columns import COLUMNS, OPTIONAL_COLUMNS, STAR_COLUMNS, VECTORS
 from stcal.telemetry.quarantine import TRUNCATED, Rejection
 
@@ -19,8 +20,6 @@ _SCALARS = ("sensor_id", "frame_id", "time_utc", "best_exposure", "temperature_c
 _OPTIONAL = tuple(column.name for column in OPTIONAL_COLUMNS)
 FRAME_KEYS = {*_SCALARS, *_OPTIONAL, *LISTS, "exposures"}
 STAR_KEYS = tuple(column.name for column in STAR_COLUMNS if column.name != "exposure")
-# Place of a row that is no star of its line.
-WHOLE_LINE = -1
 _EXPOSURE_KEYS = ("exposure", "stars")
 
 Row = dict[str, str]
@@ -34,56 +33,53 @@ class _NotAFrameError(ValueError):
         self.code = code
 
 
-def read_lines(
-    lines: list[bytes], number: Ints, cut: bool, warn: Callable[[str], None]
-) -> RowBlock:
+@dataclass(frozen=True)
+class Lines:
+    """The lines of a block that are not blank, without their ends.
+
+    Attributes
+    ----------
+    number, offset : (n,) of each line in the file, from 1, and in the decompressed bytes
+    """
+
+    data: list[bytes]
+    number: Ints
+    offset: Ints
+
+    def rows(self, columns: dict[str, Any], line: Ints, rejected: list[Rejection]) -> RowBlock:
+        """Return the block of rows that were unfolded from ``line`` (n,), an index of lines."""
+        return RowBlock(
+            columns=columns,
+            row=self.number[line],
+            run=np.unique(line, return_inverse=True)[1],  # rejected lines leave no gap
+            raw=lambda i: self.data[int(line[i])],
+            offset=self.offset[line],
+            rejected=rejected,
+            lines_are_frames=True,
+        )
+
+
+def read_lines(lines: Lines, cut: bool, warn: Callable[[str], None]) -> RowBlock:
     """Return the rows of the lines; the ``cut`` last one and broken ones are rejected."""
     rows: list[Row] = []
     line_of: list[int] = []
-    star_of: list[int] = []
     rejected: list[Rejection] = []
-    for i, line in enumerate(lines):
-        last = cut and i == len(lines) - 1
-        unfolded = _reject if last else read_line(line, warn)
+    for i, line in enumerate(lines.data):
+        last = cut and i == len(lines.data) - 1
+        unfolded = _CUT if last else read_line(line, warn)
         if isinstance(unfolded, list):
             rows += unfolded
             line_of += [i] * len(unfolded)
-            star_of += range(len(unfolded)) if "exposure" in unfolded[0] else [WHOLE_LINE]
             continue
-        code, detail = unfolded
-        rejected.append(Rejection(int(number[i]), code, detail, text_of(line)))
+        row, offset = int(lines.number[i]), int(lines.offset[i])
+        rejected.append(Rejection(row, *unfolded, line, offset))
     columns = {
         c.name: pa.array([row.get(c.name, "") for row in rows], pa.string()) for c in COLUMNS
     }
-    line_index = np.array(line_of, dtype=np.int64)
-    return RowBlock(
-        columns=columns,
-        row=number[line_index],
-        run=np.unique(line_index, return_inverse=True)[1],  # rejected lines leave no gap
-        raw=lambda i: raw_of(lines[line_of[i]], star_of[i]),
-        raw_line=lambda i: text_of(lines[line_of[i]]),
-        rejected=rejected,
-        lines_are_frames=True,
-    )
+    return lines.rows(columns, np.array(line_of, dtype=np.int64), rejected)
 
 
-_reject = (TRUNCATED, "the file ends within this line")
-
-
-def raw_of(line: bytes, star: int) -> str:
-    """Return the JSON of one star of a line (by its place in the line), or the whole line."""
-    if star == WHOLE_LINE:
-        return text_of(line)
-    try:
-        exposures = json.loads(line)["exposures"]
-        stars = [
-            {"exposure": exposure.get("exposure"), **detection}
-            for exposure in exposures
-            for detection in exposure["stars"]
-        ]
-        return json.dumps(stars[star])
-    except (ValueError, TypeError, AttributeError, LookupError):
-        return text_of(line)
+_CUT = (TRUNCATED, "the file ends within this line")
 
 
 def read_line(line: bytes, warn: Callable[[str], None]) -> list[Row] | tuple[str, str]:

@@ -153,6 +153,6 @@ class _Contest:
             rows=max(1, int(self._stars[index])),
             sensor_id=frames.sensor_id,
             frame_id=key[0],
-            raw=frame_json(frames, index),
+            raw=frame_json(frames, index).encode(),
             content_sha256=digest,
         )

@@ -1,10 +1,15 @@
-"""Quarantine: every row or frame that was not taken, with its source, row, reason and text.
+"""Quarantine: every row or frame that was not taken, with its source, place, reason and bytes.
 
 ``quarantine/<source sha256>.parquet`` holds what one file's rows were refused for (further parts of
 a very long file: ``<sha256>-0001.parquet``), and is replaced when the file is ingested again.
 ``quarantine/conflicts/sensor=<id>/day=<day>.parquet`` holds the versions of a frame that lost
 against another one.  They are kept by day and not by source because which version loses is known
 only when the last source has come: so the records do not depend on the order of ingestion.
+
+``raw`` are the bytes as they stand in the decompressed source from ``offset`` on.  Where they stand
+in no one place (a row of a Parquet file; a displaced version, which may come from a store long
+after its source is gone) the offset is -1 and ``raw`` is the record in a form that decodes to the
+same values.  What else it takes to decode them again (``Origin``) is in the file's metadata.
 """
 
 from __future__ import annotations
@@ -16,10 +21,16 @@ from pathlib import Path
 import pyarrow as pa
 
 from stcal.telemetry import parquet
+from stcal.telemetry.quarantine_schema import Origin, origin_of, read_file, schema
+
+__all__ = ["Origin", "origin_of", "read_file", "schema"]
 
 FOLDER = "quarantine"
 CONFLICT = "conflict"
 TRUNCATED = "truncated"
+TIME_BACKWARDS = "time_backwards"
+# Shorter beginnings of a hash are not taken for one.
+SHORTEST_HASH = 6
 
 # Code of a reason -> what it means.  Row: the row alone is refused.  Frame: all its rows are.
 REASONS = {
@@ -27,6 +38,7 @@ REASONS = {
     "bad_encoding": "row: not UTF-8",
     "bad_text": "row: control characters or quotes that do not close",
     "bad_json": "row: not a JSON object of the telemetry's form",
+    "bad_lists": "row: the lists of an exposure do not fit each other or their number",
     "bad_exposure": "row: exposure is neither 0 nor 1",
     "bad_centroid": "row: row_px or col_px is empty or not a finite number",
     "outside_detector": "row: the centroid lies outside the detector",
@@ -43,19 +55,29 @@ REASONS = {
     "bad_flag": "frame: eclipse or intrusion is neither 0, 1 nor empty",
     "bad_state": "frame: position or velocity is partly empty or not finite numbers",
     "inconsistent_frame": "frame: its rows give different values for the frame",
+    TIME_BACKWARDS: "frame: its time lies outside those of its neighbours, which agree",
     TRUNCATED: "frame: the file ends within it",
+    "packet_sync": "packet: bytes that begin no packet of the layout",
+    "packet_crc": "packet: its CRC is not that of its bytes",
+    "packet_length": "packet: its length does not fit the layout or its lists",
+    "packet_segmented": "packet: a segment, not a whole packet",
+    "match_index": "frame: a match points beyond the list of stars, or two at one star",
     CONFLICT: "frame: another version of it (more stars, then smaller content hash) is kept",
 }
 
 
 @dataclass(frozen=True)
 class Rejection:
-    """One record: ``rows`` telemetry rows from line ``row`` on, refused for one reason."""
+    """One record: ``rows`` telemetry rows from line ``row`` on, refused for one reason.
+
+    ``raw`` are their bytes as the source has them, from ``offset`` of the decompressed source on.
+    """
 
     row: int
     code: str
     detail: str
-    raw: str
+    raw: bytes
+    offset: int = -1
     rows: int = 1
     sensor_id: str = ""
     frame_id: str = ""
@@ -71,31 +93,17 @@ class LostVersion:
     rows: int
     sensor_id: str
     frame_id: int
-    raw: str
+    raw: bytes
     content_sha256: str
 
 
-def schema() -> pa.Schema:
-    """Return the Arrow schema of a quarantine file."""
-    text, whole = pa.string(), pa.int64()
-    fields = [
-        ("source", text),
-        ("source_sha256", text),
-        ("row", whole),
-        ("rows", whole),
-        ("sensor_id", text),
-        ("frame_id", text),
-        ("code", text),
-        ("detail", text),
-        ("raw", text),
-        ("content_sha256", text),
-    ]
-    metadata = {"schema": "stcal.quarantine", "version": "1"}
-    return pa.schema([pa.field(name, kind) for name, kind in fields], metadata=metadata)
-
-
 def write_source_part(
-    store: Path, name: str, sha256: str, part: int, rejections: Sequence[Rejection]
+    store: Path,
+    name: str,
+    sha256: str,
+    part: int,
+    rejections: Sequence[Rejection],
+    origin: Origin,
 ) -> Path:
     """Write one part of a source's quarantine atomically and return its path.
 
@@ -104,19 +112,54 @@ def write_source_part(
     path = _source_path(store, sha256, part)
     if path.exists():
         name = min([name, *read_file(path)["source"].to_pylist()[:1]])
+    write_records(path, name, sha256, rejections, origin)
+    return path
+
+
+def write_records(
+    path: Path, name: str, sha256: str, rejections: Sequence[Rejection], origin: Origin
+) -> None:
+    """Write the records of one source to a file, atomically and in the order of their rows."""
     ordered = sorted(rejections, key=lambda record: record.row)
     records = [
         {
             **vars(record),
             "source": name,
             "source_sha256": sha256,
-            "raw": _encodable(record.raw),
+            "length": len(record.raw),
             "detail": _encodable(record.detail),
         }
         for record in ordered
     ]
-    parquet.write(path, pa.Table.from_pylist(records, schema=schema()))
-    return path
+    parquet.write(path, pa.Table.from_pylist(records, schema=schema(origin)))
+
+
+def paths(store: Path) -> list[Path]:
+    """Return every quarantine file of a store."""
+    return sorted((store / FOLDER).rglob("*.parquet"))
+
+
+def is_of_source(table: pa.Table, source: str | None) -> bool:
+    """Whether a source's file is that of a source named by its name or its hash's beginning."""
+    if source is None or not table.num_rows:
+        return bool(table.num_rows)
+    name, sha256 = table["source"][0].as_py(), table["source_sha256"][0].as_py()
+    is_hash = len(source) >= SHORTEST_HASH and sha256.startswith(source.lower())
+    return bool(name == source or is_hash)
+
+
+def records_of(table: pa.Table) -> list[Rejection]:
+    """Return the records of a source's file."""
+    names = list(Rejection.__dataclass_fields__)
+    return [Rejection(**row) for row in table.select(names).to_pylist()]
+
+
+def source_parts(store: Path) -> list[Path]:
+    """Return the files of the records of sources; those of displaced versions are not among them.
+
+    Every one is read by itself: together they may not fit into memory.
+    """
+    return sorted((store / FOLDER).glob("*.parquet"))
 
 
 def remove_other_parts(store: Path, sha256: str, kept: Iterable[Path]) -> None:
@@ -146,29 +189,24 @@ def write_conflicts(path: Path, lost: Iterable[LostVersion]) -> None:
     ordered = sorted(lost, key=lambda version: (version.frame_id, version.content_sha256))
     detail = REASONS[CONFLICT].removeprefix("frame: ")
     records = [
-        {**vars(version), "frame_id": str(version.frame_id), "code": CONFLICT, "detail": detail}
+        {
+            **vars(version),
+            "frame_id": str(version.frame_id),
+            "offset": -1,
+            "length": len(version.raw),
+            "code": CONFLICT,
+            "detail": detail,
+        }
         for version in ordered
     ]
-    parquet.write(path, pa.Table.from_pylist(records, schema=schema()))
-
-
-def read_file(path: Path) -> pa.Table:
-    """Read one quarantine file.
-
-    Raises
-    ------
-    InputError
-        Naming the file when it cannot be read or is damaged.
-    """
-    with parquet.reading(path, "quarantine file") as file:
-        parquet.check_columns(file.schema_arrow, schema(), str(path))
-        return file.read()
+    parquet.write(path, pa.Table.from_pylist(records, schema=schema(Origin("jsonl"))))
 
 
 def read_all(store: Path) -> pa.Table:
     """Return every quarantine record of a store."""
-    paths = sorted((store / FOLDER).rglob("*.parquet"))
-    return pa.concat_tables([schema().empty_table(), *(read_file(path) for path in paths)])
+    found = map(read_file, paths(store))
+    tables = [table.replace_schema_metadata(schema().metadata) for table in found]
+    return pa.concat_tables([schema().empty_table(), *tables])
 
 
 def _source_path(store: Path, sha256: str, part: int) -> Path:

@@ -22,7 +22,8 @@ class Sensors:
     Attributes
     ----------
     names : the sensor's name of each index
-    rows, cols, first_pixel_centre_px, quaternion_norm_tolerance : (k,) by index
+    rows, cols, first_pixel_centre_px, quaternion_norm_tolerance, maximum_backwards_s : (k,) by
+        index
     """
 
     PROBLEMS: ClassVar[dict[str, str]] = {
@@ -40,6 +41,7 @@ class Sensors:
         self.cols: Floats = np.array([np.inf])
         self.first_pixel_centre_px: Floats = np.zeros(1)
         self.quaternion_norm_tolerance: Floats = np.array([np.inf])
+        self.maximum_backwards_s: Floats = np.array([np.inf])
 
     def look_up(self, names: Any) -> tuple[Ints, Objects]:
         """Return the index of each name of an Arrow string array, and its problem or ``''``.
@@ -78,6 +80,9 @@ class Sensors:
         self.first_pixel_centre_px = np.append(self.first_pixel_centre_px, first)
         self.quaternion_norm_tolerance = np.append(
             self.quaternion_norm_tolerance, configs[0].ingest.quaternion_norm_tolerance
+        )
+        self.maximum_backwards_s = np.append(
+            self.maximum_backwards_s, configs[0].ingest.maximum_backwards_s
         )
         return len(self.names) - 1, ""
 

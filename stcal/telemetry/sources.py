@@ -20,12 +20,13 @@ _CHUNK = 1 << 20
 _MAXIMUM_LINE = 16 << 20
 _GZIP_MAGIC = b"\x1f\x8b"
 _GZIP_WBITS = 31
+_PARQUET = b"PAR1"
 _FOREIGN = {
     b"PK\x03\x04": "a zip archive",
     b"\x28\xb5\x2f\xfd": "zstd-compressed",
     b"BZh": "bzip2-compressed",
     b"\xfd7zXZ": "xz-compressed",
-    b"PAR1": "a Parquet file",
+    _PARQUET: "a Parquet file (one is read with a column mapping)",
     b"\xff\xfe": "UTF-16 text",
     b"\xfe\xff": "UTF-16 text",
 }
@@ -40,6 +41,7 @@ class SourceFile:
     size, sha256 : of the bytes on disk
     head : the first decompressed bytes
     truncated : a gzip stream that ends too early; what it holds until there is intact
+    content : the bytes themselves, in place of a file
     """
 
     path: Path
@@ -49,6 +51,7 @@ class SourceFile:
     head: bytes
     truncated: bool = False
     warnings: tuple[str, ...] = ()
+    content: bytes | None = None
 
     @property
     def name(self) -> str:
@@ -56,7 +59,7 @@ class SourceFile:
         return printable(self.path.name)
 
 
-def find_sources(given: list[Path]) -> list[Path]:
+def find_sources(given: list[Path], extensions: tuple[str, ...] = EXTENSIONS) -> list[Path]:
     """Return the files named, folders replaced by their telemetry files, each file once.
 
     Raises nothing: a path that cannot be used stays in the list and is reported when it is opened.
@@ -64,24 +67,24 @@ def find_sources(given: list[Path]) -> list[Path]:
     found: list[Path] = []
     for path in given:
         # os.path, because Path's own is_dir and resolve raise for some paths.
-        found += (_inside(path) if os.path.isdir(path) else []) or [path]
+        found += (_inside(path, extensions) if os.path.isdir(path) else []) or [path]
     first: dict[str, Path] = {}
     for path in found:
         first.setdefault(os.path.realpath(path), path)
     return list(first.values())
 
 
-def _inside(folder: Path) -> list[Path]:
+def _inside(folder: Path, extensions: tuple[str, ...]) -> list[Path]:
     """Return the telemetry files of a folder, none when it cannot be read."""
     try:
-        names = sorted(name for name in os.listdir(folder) if name.endswith(EXTENSIONS))
+        names = sorted(name for name in os.listdir(folder) if name.endswith(extensions))
     except OSError:
         return []
     return [folder / name for name in names if os.path.isfile(folder / name)]
 
 
-def examine(path: Path) -> SourceFile:
-    """Read a file once: its hash, whether it is whole, and that it is text in lines.
+def examine(path: Path, is_text: bool = True) -> SourceFile:
+    """Read a file once: its hash, whether it is whole, and (``is_text``) that it is text in lines.
 
     Raises
     ------
@@ -91,7 +94,7 @@ def examine(path: Path) -> SourceFile:
     """
     _check_kind(path)
     digest, size = hashlib.sha256(), 0
-    text = _TextCheck(path)
+    text = _TextCheck(path, is_text)
     unpack = None
     for chunk in _chunks(path):
         if size == 0 and chunk.startswith(_GZIP_MAGIC):
@@ -110,6 +113,12 @@ def examine(path: Path) -> SourceFile:
     return SourceFile(path, size, sha256, unpack is not None, head, truncated, warnings)
 
 
+def from_memory(name: str, sha256: str, content: bytes) -> SourceFile:
+    """Return bytes in memory as a source under the name and the hash of the file they are from."""
+    head = content[:HEAD_BYTES]
+    return SourceFile(Path(name), len(content), sha256, False, head, content=content)
+
+
 def _check_kind(path: Path) -> None:
     try:
         mode = path.stat().st_mode
@@ -125,6 +134,9 @@ def _check_kind(path: Path) -> None:
 
 def stream(source: SourceFile) -> Iterator[bytes]:
     """Yield the decompressed bytes of an examined file; of a truncated one, what there is."""
+    if source.content is not None:
+        yield source.content
+        return
     unpack = Gunzip(str(source.path)) if source.compressed else None
     left = source.size  # a file that still grows is read up to where it was examined
     for chunk in _chunks(source.path):
@@ -178,8 +190,8 @@ class Gunzip:
 class _TextCheck:
     """Looks at the decompressed bytes as they pass."""
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    def __init__(self, path: Path, is_text: bool) -> None:
+        self._path, self._is_text = path, is_text
         self.size = 0
         self.head = bytearray()
         self._line = 0
@@ -188,16 +200,16 @@ class _TextCheck:
         """Take the next bytes."""
         if self.size == 0:
             for magic, kind in _FOREIGN.items():
-                if part.startswith(magic):
+                if part.startswith(magic) and (self._is_text or magic != _PARQUET):
                     raise InputError(f"{self._path}: is {kind}, not UTF-8 telemetry text")
         self.size += len(part)
         if len(self.head) < HEAD_BYTES:
             self.head += part[: HEAD_BYTES - len(self.head)]
-            if b"\0" in self.head:
+            if self._is_text and b"\0" in self.head:
                 raise InputError(f"{self._path}: is binary, not UTF-8 telemetry text")
         newline = part.rfind(b"\n")
         self._line = self._line + len(part) if newline < 0 else len(part) - newline
-        if self._line > _MAXIMUM_LINE:
+        if self._is_text and self._line > _MAXIMUM_LINE:
             raise InputError(f"{self._path}: has a line beyond {_MAXIMUM_LINE >> 20} MiB")
 
 
@@ -219,11 +231,13 @@ class LineBlock:
     data : bytes, every line with its newline except perhaps the file's last
     first_row : the number of the first line in the file, from 1
     last : whether the file ends here
+    offset : where the data begin in the decompressed file
     """
 
     data: bytes
     first_row: int
     last: bool
+    offset: int = 0
 
 
 class LineReader:
@@ -234,6 +248,7 @@ class LineReader:
         self._parts, self._block_bytes = parts, block_bytes
         self._kept = b""
         self._row = 1
+        self._offset = 0
         self._pushed = 0
         self._done = False
 
@@ -242,6 +257,7 @@ class LineReader:
         while b"\n" not in self._kept and not self._done:
             self._fill(len(self._kept) + 1)
         line, newline, self._kept = self._kept.partition(b"\n")
+        self._offset += len(line) + len(newline)
         line = line.removeprefix(b"\xef\xbb\xbf") if self._row == 1 else line
         self._row += bool(newline)
         return line.removesuffix(b"\r")
@@ -260,15 +276,17 @@ class LineReader:
                     continue
             data, self._kept = self._kept[:end], self._kept[end:]
             row, self._row = self._row, self._row + data.count(b"\n")
+            offset, self._offset = self._offset, self._offset + len(data)
             self._pushed = 0
             if data:
-                yield LineBlock(data, row, self._done and not self._kept)
+                yield LineBlock(data, row, self._done and not self._kept, offset)
             wanted = self._block_bytes + self._pushed
 
     def push_back(self, data: bytes) -> None:
         """Put the last lines of the block just yielded in front of the next one."""
         self._kept = data + self._kept
         self._row -= data.count(b"\n")
+        self._offset -= len(data)
         self._pushed = len(data)
 
     def _fill(self, wanted: int) -> None:

@@ -29,6 +29,7 @@ from stcal.telemetry import parquet, quarantine
 from stcal.telemetry.content import content_sha256
 from stcal.telemetry.merge import Merge, merge
 from stcal.telemetry.names import sensor_folder
+from stcal.telemetry.quarantine import LostVersion
 from stcal.telemetry.schema import (
     StoredFrames,
     batch_from_table,
@@ -91,7 +92,8 @@ class Store:
     def sensors(self) -> list[str]:
         """Return the sensors that the store has frames of, sorted."""
         folders = (self.root / FRAMES).glob("sensor=*")
-        filled = (f.name for f in folders if f.is_dir() and any(f.iterdir()))
+        # A writer that was killed may have left a day's folder without its file.
+        filled = (f.name for f in folders if any(f.glob(f"day=*/{_FRAGMENT}")))
         return sorted(unquote(name.removeprefix("sensor=")) for name in filled)
 
     def files(self, sensor_id: str) -> list[Path]:
@@ -142,6 +144,17 @@ class Store:
         """Return every quarantine record, in the schema of :mod:`stcal.telemetry.quarantine`."""
         return quarantine.read_all(self.root)
 
+    def read_day(self, sensor_id: str, day: str) -> StoredFrames | None:
+        """Return what the store has of one sensor and UTC day, None when nothing."""
+        path = self._folder(sensor_id) / f"day={day}" / _FRAGMENT
+        return stored_from_table(_read(path), sensor_id) if path.exists() else None
+
+    def read_lost(self, sensor_id: str, day: str) -> list[LostVersion]:
+        """Return the displaced versions of one sensor and UTC day."""
+        return quarantine.read_conflicts(
+            quarantine.conflicts_path(self.root, sensor_folder(sensor_id), day)
+        )
+
     def merge_day(self, day: str, incoming: StoredFrames) -> Merge:
         """Merge frames of one sensor and UTC day into the store; the caller holds the lock.
 
@@ -150,8 +163,7 @@ class Store:
         sensor_id = incoming.frames.sensor_id
         path = self._folder(sensor_id) / f"day={day}" / _FRAGMENT
         conflicts = quarantine.conflicts_path(self.root, sensor_folder(sensor_id), day)
-        stored = stored_from_table(_read(path), sensor_id) if path.exists() else None
-        lost = quarantine.read_conflicts(conflicts)
+        stored, lost = self.read_day(sensor_id, day), self.read_lost(sensor_id, day)
         merged = merge(stored, lost, incoming)
         if set(merged.lost) != set(lost):
             quarantine.write_conflicts(conflicts, merged.lost)

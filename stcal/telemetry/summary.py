@@ -50,6 +50,7 @@ class SourceSummary:
     ----------
     quarantined : rows by the code of the reason
     error : why the file could not be used, or not whole; None when nothing is wrong with it
+    packets : of a file of packets, their numbers by APID; None of other files
     """
 
     path: Path
@@ -60,6 +61,7 @@ class SourceSummary:
     sensors: set[str] = field(default_factory=set)
     warnings: list[str] = field(default_factory=list)
     error: str | None = None
+    packets: dict[str, Any] | None = None
 
     def document(self) -> dict[str, Any]:
         """Return the summary as a JSON document."""
@@ -70,6 +72,7 @@ class SourceSummary:
             **vars(self.counts),
             "quarantined": by_reason(self.quarantined),
             "sensors": sorted(self.sensors),
+            "packets": self.packets,
             "warnings": self.warnings,
             "error": self.error,
         }

@@ -95,10 +95,7 @@ def validate(block: RowBlock, sensors: Sensors) -> tuple[Any, Any, list[Rejectio
     rejected = [
         *block.rejected,
         *_frame_rejections(block, text, faults, np.flatnonzero(frame_bad)),
-        *(
-            _rejection(block, text, i, *star_faults.at(i))
-            for i in np.flatnonzero(star_bad).tolist()
-        ),
+        *_star_rejections(block, text, star_faults, np.flatnonzero(star_bad)),
     ]
     good = ~frame_bad & ~star_bad
     runs = frame[np.flatnonzero(np.diff(block.run, prepend=-1))]
@@ -129,7 +126,7 @@ def _frame_values(block: RowBlock, text: dict[str, Any], sensors: Sensors, fault
         frame[name], bad = values.flags(text[name])
         faults.add("bad_flag", bad, shown(name, "neither 0, 1 nor empty"))
     frame["row"] = block.row
-    frame["alone"] = block.lines_are_frames
+    frame["alone"] = block.lines_are_frames and not block.frames_span_lines
     if block.truncated_run:
         last = block.run == block.run[-1]
         faults.add(TRUNCATED, last, lambda i: "the file ends before it shows that this is whole")
@@ -268,19 +265,36 @@ def _frame_rejections(
             where = "" if block.lines_are_frames else f" (row {block.row[culprit[run]]})"
             reason = (code, detail + where)
         count = int(run_rows[run]) if block.lines_are_frames else 1
-        rejections.append(_rejection(block, text, i, *reason, rows=count, whole=True))
+        rejections.append(_rejection(block, text, i, *reason, rows=count))
+    return rejections
+
+
+def _star_rejections(
+    block: RowBlock, text: dict[str, Any], faults: _Faults, rows: Ints
+) -> list[Rejection]:
+    """Return a record a refused star; one a line and reason where a line is a frame.
+
+    The record of a line holds the whole of it, and the line may hold many broken stars.
+    """
+    if not block.lines_are_frames:
+        return [_rejection(block, text, i, *faults.at(i)) for i in rows.tolist()]
+    first = np.flatnonzero(np.diff(block.run, prepend=-1))[block.run]
+    alike: dict[tuple[int, str], list[int]] = {}
+    for i in rows.tolist():
+        alike.setdefault((int(block.run[i]), faults.at(i)[0]), []).append(i)
+    rejections = []
+    for members in alike.values():
+        code, detail = faults.at(members[0])
+        more = f", and {len(members) - 1} more of its stars" if len(members) > 1 else ""
+        place = members[0] - int(first[members[0]]) + 1
+        detail = f"star {place}: {detail}{more}"
+        rejections.append(_rejection(block, text, members[0], code, detail, rows=len(members)))
     return rejections
 
 
 def _rejection(
-    block: RowBlock,
-    text: dict[str, Any],
-    i: int,
-    code: str,
-    detail: str,
-    rows: int = 1,
-    whole: bool = False,
+    block: RowBlock, text: dict[str, Any], i: int, code: str, detail: str, rows: int = 1
 ) -> Rejection:
-    raw = block.raw_line(i) if whole else block.raw(i)
     sensor_id, frame_id = (text[name][i].as_py() for name in ("sensor_id", "frame_id"))
-    return Rejection(int(block.row[i]), code, detail, raw, rows, sensor_id, frame_id)
+    row, offset = int(block.row[i]), int(block.offset[i])
+    return Rejection(row, code, detail, block.raw(i), offset, rows, sensor_id, frame_id)

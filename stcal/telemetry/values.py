@@ -1,4 +1,7 @@
-"""Columns of text to typed columns, vectorised; a text that is no value is marked, not raised."""
+"""Columns of text to typed columns, vectorised; a text that is no value is marked, not raised.
+
+A column that is typed already (:class:`stcal.telemetry.typed.Typed`) goes through as it is.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,7 @@ import pyarrow.compute as pc
 from stcal.catalog.identifiers import MALFORMED
 from stcal.frames import Bools, Floats, Ints
 from stcal.telemetry.schema import star_id_codes
+from stcal.telemetry.typed import Typed
 from stcal.times import parse_utc_array
 
 # At most 18 digits fit an int64; spreadsheets write whole numbers as 12.0.
@@ -22,16 +26,22 @@ _FLAGS = {"": 0, "0": 0, "1": 1, "0.0": 0, "1.0": 1, "false": 0, "true": 1}
 
 def strip(text: Any) -> Any:
     """Return the texts without spaces around them, ``''`` where null."""
+    if isinstance(text, Typed):
+        return text
     return pc.ascii_trim_whitespace(text.fill_null(""))
 
 
 def is_empty(text: Any) -> Bools:
     """Return (n,) whether the texts are empty; they are stripped already."""
+    if isinstance(text, Typed):
+        return text.empty
     return _numpy(pc.equal(text, ""))
 
 
 def numbers(text: Any) -> tuple[Floats, Bools]:
     """Return (values, bad): NaN where the text is empty or bad; ``nan`` and ``inf`` are bad."""
+    if isinstance(text, Typed):
+        return text.values, text.bad
     filled = pc.if_else(pc.equal(text, ""), None, text)
     try:
         parsed = pc.cast(filled, pa.float64()).to_numpy(zero_copy_only=False)
@@ -61,6 +71,8 @@ def _number(text: str) -> tuple[float, bool]:
 
 def integers(text: Any) -> tuple[Ints, Bools]:
     """Return (values, bad): 0 where empty or bad; empty is bad."""
+    if isinstance(text, Typed):
+        return text.values, text.bad | text.empty
     packed = text.dictionary_encode()
     distinct = packed.dictionary
     good = pc.match_substring_regex(distinct, _INTEGER)
@@ -72,6 +84,8 @@ def integers(text: Any) -> tuple[Ints, Bools]:
 
 def flags(text: Any) -> tuple[Bools, Bools]:
     """Return (values, bad): 0 and 1, false and true, empty is false."""
+    if isinstance(text, Typed):
+        return text.values == 1, text.bad
     packed = text.dictionary_encode()
     found = [_FLAGS.get(entry.lower(), -1) for entry in packed.dictionary.to_pylist()]
     values = np.array(found, dtype=np.int8)[packed.indices.to_numpy()]
@@ -80,6 +94,8 @@ def flags(text: Any) -> tuple[Bools, Bools]:
 
 def times(text: Any) -> tuple[Ints, Bools]:
     """Return (TAI ns, bad); empty is bad."""
+    if isinstance(text, Typed):
+        return text.values, text.bad | text.empty
     packed = text.dictionary_encode()
     values, good = parse_utc_array(packed.dictionary.to_pylist())
     codes = packed.indices.to_numpy()
@@ -88,6 +104,8 @@ def times(text: Any) -> tuple[Ints, Bools]:
 
 def star_ids(text: Any) -> tuple[Ints, Bools]:
     """Return (identifier codes, bad); empty is 0, unmatched."""
+    if isinstance(text, Typed):
+        return text.values, text.bad
     codes = star_id_codes(text)
     return codes, codes == MALFORMED
 

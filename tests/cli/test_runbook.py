@@ -15,11 +15,10 @@ PAGE = (ROOT / "docs" / "operations.md").read_text()
 
 
 def commands_of(section: str) -> list[list[str]]:
-    """The commands of a section's first code block, continued lines joined."""
-    text = PAGE.split(f"## {section}", 1)[1]
-    block = re.search(r"```\n(.*?)```", text, re.DOTALL)
-    assert block is not None
-    lines = block[1].replace("\\\n", " ").splitlines()
+    """The commands of a section's code blocks, continued lines joined."""
+    text = PAGE.split(f"## {section}", 1)[1].split("\n## ", 1)[0]
+    blocks = "".join(re.findall(r"```\n(.*?)```", text, re.DOTALL))
+    lines = blocks.replace("\\\n", " ").splitlines()
     return [shlex.split(line) for line in lines if line.startswith("stcal ")]
 
 

@@ -10,22 +10,32 @@ import sys
 import time
 
 import telemetry_cases as cases
+from test_mapping import ROOT, few_stars, star_table, write_parquet
 
 from stcal.telemetry.content import frame_digests
 from stcal.telemetry.store import Store
 
 WINDOW = 100
+# A dozen by default; STCAL_KILLS=200 for the long form.
+KILLS = int(os.environ.get("STCAL_KILLS", "12"))
+# Everything that writes to a store: downloads, a foreign table, and records tried again.
 CODE = f"""
 import sys
 from pathlib import Path
 import telemetry_cases as cases
-from stcal.config import load_config
 from stcal.telemetry.ingest import ingest
+from stcal.telemetry.mapping import load_mapping
+from stcal.telemetry.retry import retry
 from stcal.telemetry.store import Store
-root, config, *files = map(Path, sys.argv[1:])
+root, mapping, *files = map(Path, sys.argv[1:])
+mapping, small = load_mapping(mapping), cases.config(rows=150)
 print("ready", flush=True)
+store = Store.open(root, create=True)
 with cases.small_blocks(4000):
-    ingest(files, Store.open(root, create=True), [load_config(config)], window_rows={WINDOW})
+    for path in files:
+        foreign = mapping if path.suffix == ".parquet" else None
+        ingest([path], store, [small], window_rows={WINDOW}, mapping=foreign)
+    retry(store, [cases.config()])
 """
 
 
@@ -46,10 +56,18 @@ def downloads(folder):
     return files
 
 
+def foreign(folder):
+    """A table of another tool with frames of other days."""
+    batch = few_stars(8, 2.0)
+    path = folder / "z.parquet"
+    write_parquet(star_table(batch.take(batch.frame_id < 12)), path)
+    return path
+
+
 def start(root, files):
-    config = cases.ROOT / "configs" / "st16.toml"
-    command = [sys.executable, "-c", CODE, str(root), str(config), *map(str, files)]
-    here = str(cases.ROOT / "tests" / "telemetry")
+    mapping = ROOT / "parquet-stars.toml"
+    command = [sys.executable, "-c", CODE, str(root), str(mapping), *map(str, files)]
+    here = os.pathsep.join([str(cases.ROOT / "tests" / "telemetry"), str(cases.ROOT)])
     environment = {**os.environ, "PYTHONPATH": here}
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
     process.stdout.readline()
@@ -76,26 +94,29 @@ def versions_on_disk(root):
 
 
 def test_killed_at_random_moments(tmp_path):
-    files = downloads(tmp_path)
-    began = time.monotonic()
+    files = [*downloads(tmp_path), foreign(tmp_path)]
     process = start(tmp_path / "reference", files)
+    began = time.monotonic()
     assert process.wait() == 0
     took = time.monotonic() - began
     reference = cases.snapshot(tmp_path / "reference")
+    assert any("conflicts" in name for name in reference)
     rng = random.Random(0)
     root, killed, known = tmp_path / "store", 0, set()
-    for attempt in range(10):
-        process = start(root, files)
-        # Import takes part of the time; the marker tells that work has begun.
-        time.sleep(rng.uniform(0, 0.4 * took) if attempt else 0.02)
+    for attempt in range(KILLS):
+        # In any order, some of them twice.
+        process = start(root, [*rng.sample(files, len(files)), *rng.sample(files, 2)])
+        # The first is cut short, so that the store is not complete at once.
+        time.sleep(rng.uniform(0, 1.2 * took) if attempt else 0.02)
         process.send_signal(signal.SIGKILL)
         killed += process.wait() == -signal.SIGKILL
         now = frames_on_disk(root)
         assert known <= now, "frames were lost"
         known = now
-    assert killed >= 5
-    assert start(root, files).wait() == 0
-    assert cases.snapshot(root) == reference
+    assert killed >= KILLS // 2
+    for order in (files, files[::-1]):
+        assert start(root, order).wait() == 0
+        assert cases.snapshot(root) == reference
     assert not [path for path in root.rglob(".stcal-*") if os.path.exists(path)]
 
 

@@ -75,7 +75,7 @@ def test_the_version_with_more_stars_is_kept_and_the_other_recorded(tmp_path):
     (record,) = cases.records(store)
     assert (record["source"], record["row"], record["code"]) == ("few.csv", 8, "conflict")
     assert record["frame_id"] == "2"
-    assert '"row_px": 100.25' in record["raw"]
+    assert b'"row_px": 100.25' in record["raw"]
     _, summary = cases.run(tmp_path, few)
     assert summary.quarantined == {"conflict": 2}
     assert summary.counts.duplicate_frames == 2
