@@ -197,11 +197,20 @@ class Ingest(_Section):
     maximum_quarantine_share: Fraction = 0.05
 
 
+def _rising(pair: list[float]) -> list[float]:
+    if not pair[0] < pair[1]:
+        raise ValueError("the smallest value is not below the largest")
+    return pair
+
+
+Range = Annotated[list[Finite], Field(min_length=2, max_length=2), AfterValidator(_rising)]
+
+
 class Uplink(_Section):
     """What may be sent to the spacecraft, beyond the gates of fit and validation."""
 
     # Smallest and largest value of a parameter that the sensor may ever be given.
-    limits: dict[str, tuple[Finite, Finite]] = {}
+    limits: dict[str, Range] = {}
     # Largest change against what is on board: of a parameter in sigma (fit.maximum_change_sigma if
     # not given), and the turn of C_SD.
     maximum_change_sigma: Positive | None = None

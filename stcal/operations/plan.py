@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from stcal.config import error_lines
 from stcal.errors import ConfigError, UsageError
 from stcal.reading import read_toml
 from stcal.times import parse_utc
@@ -162,8 +163,4 @@ def load_plan(path: Path) -> PlanFile:
     try:
         return PlanFile(path, Plan.model_validate(document))
     except ValidationError as error:
-        lines = [
-            f"  {'.'.join(map(str, item['loc'])) or 'plan'}: {item['msg']}"
-            for item in error.errors()
-        ]
-        raise ConfigError(f"{path}:\n" + "\n".join(lines)) from None
+        raise ConfigError(f"{path}:\n" + "\n".join(error_lines(error))) from None

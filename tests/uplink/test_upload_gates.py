@@ -102,7 +102,7 @@ REFUSED: dict[str, tuple[Any, str, str]] = {
     ),
     "nothing known": (_quality(frames=None), "fit-quality", "says no frames"),
     "text for a number": (_quality(coverage="all"), "fit-quality", "says no coverage"),
-    "limit": (_config(limits={"f_m": (0.0159, 0.0159)}), "limits", "f_m is 0.01598, allowed"),
+    "limit": (_config(limits={"f_m": [0.0158, 0.0159]}), "limits", "f_m is 0.01598, allowed"),
     "change": (_config(maximum_change_sigma=1.0), "change", "f_m moves by -2.5 sigma, at most 1"),
     "turn": (_config(maximum_turn_deg=0.01), "change", "C_SD turns by 0.057 deg, at most 0.01"),
     "overlap": (
