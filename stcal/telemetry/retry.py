@@ -4,6 +4,10 @@ What is good now goes into the store and leaves the quarantine; the rest stays, 
 holds now.  Frames are in the store before their records leave, so a kill at any moment loses
 nothing, and trying again ends in the same store.  Displaced versions are not tried: which version
 of a frame is kept does not depend on a configuration.
+
+The store ends as ingesting the source again would leave it, but for a frame in pieces that names a
+star twice in an exposure: how such a frame is cut apart (``assemble``) depends on which of its rows
+are known at the time.
 """
 
 from __future__ import annotations

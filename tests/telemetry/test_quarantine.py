@@ -7,6 +7,7 @@ import json
 import tempfile
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -99,11 +100,20 @@ def test_trying_again_without_a_change_changes_nothing(data):
         assert cases.snapshot(store.root) == before
 
 
+def without_repeated_identifiers(frames) -> bool:
+    """Whether no exposure names a star twice: a frame in pieces that does is cut apart, and then
+    depends on which of its rows are known when it is put together."""
+    known = frames.star_id != 0
+    pairs = np.column_stack([frames.exposure_of_star[known], frames.star_id[known]])
+    return len(np.unique(pairs, axis=0)) == len(pairs)
+
+
 @st.composite
 def partly_refused(draw, suffix):
     """Telemetry of which some rows are bad whatever the configuration."""
     # A star given twice counts once in the store, so a row that comes later cannot tell.
-    frames = draw(cases.batches().filter(cases.without_repeated_stars))
+    batches = cases.batches().filter(cases.without_repeated_stars)
+    frames = draw(batches.filter(without_repeated_identifiers))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a"
         (write_csv if suffix == ".csv" else write_jsonl)([frames], path, decimals=None)
