@@ -16,6 +16,8 @@ from stcal.residuals.selection import StarSelection
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+# What may be lost without harm, as a share: with enough frames any loss becomes significant.
+MARGINS = {"availability": 0.005, "matched stars": 0.005, "common-pair RMS": 0.01}
 _RESAMPLES = 2000
 _LARGEST_RESAMPLE = 5000
 

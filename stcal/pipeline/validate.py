@@ -18,6 +18,7 @@ from stcal.frames import FrameBatch, MatchedFrames
 from stcal.geometry.rotations import vector_from_matrix
 from stcal.matching import Matcher, match
 from stcal.metrics import (
+    MARGINS,
     Interval,
     PairSums,
     bootstrap,
@@ -39,8 +40,6 @@ Floats = NDArray[np.float64]
 SCHEMA = "stcal.validation/1"
 CONFIDENCE = 0.95
 _JUMP_SD = 3.0
-# What may be lost without harm, as a share: with enough frames any loss becomes significant.
-MARGINS = {"availability": 0.005, "matched stars": 0.005, "common-pair RMS": 0.01}
 
 
 @dataclass(frozen=True)

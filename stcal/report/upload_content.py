@@ -12,9 +12,12 @@ _FIGURES_LENGTH = 300
 
 
 def upload_verdict(document: Document) -> Verdict:
-    """Built; with the overrides as notes."""
-    overrides = section(document, "overrides")
-    notes = tuple(f"gate {gate} overridden: {words(overrides[gate])}" for gate in overrides)
+    """Built; with the overrides as notes, and whether each was needed."""
+    overrides, gates = section(document, "overrides"), section(document, "gates")
+    notes = tuple(
+        f"gate {gate} {_overridden(section(gates, gate))}: {words(overrides[gate])}"
+        for gate in overrides
+    )
     return Verdict("Upload", True, (), notes)
 
 
@@ -77,6 +80,10 @@ def upload_facts(document: Document) -> Table:
         ("Software", words(document.get("software"))),
     )
     return Table("The upload", ("", ""), rows, numeric=False)
+
+
+def _overridden(gate: Document) -> str:
+    return "passed, its override was not needed" if gate.get("passed") is True else "overridden"
 
 
 def _state(gate: Document) -> str:

@@ -22,7 +22,7 @@ import numpy as np
 import pyarrow as pa
 
 from stcal.config import SensorConfig
-from stcal.errors import ConfigError, InputError
+from stcal.errors import InputError
 from stcal.frames import Ints
 from stcal.telemetry import configurations, quarantine
 from stcal.telemetry.assemble import assemble
@@ -113,14 +113,18 @@ def _retry_part(
     records = quarantine.records_of(table)
     result.refused += sum(record.rows for record in records)
     origin = quarantine.origin_of(table, path)
+    sensors, source = Sensors(configs), from_memory(name, sha256, b"")
+    stays = _not_to_try(records, sensors)
+    tried = [record for record, stay in zip(records, stays, strict=True) if not stay]
     try:
-        again = _again(origin)
-        kept = _take(records, again, from_memory(name, sha256, b""), store, configs, result)
-    except ConfigError:
-        raise
+        blocks = list(_blocks(tried, _again(origin), source))
     except InputError as error:
         # A record of another stcal, or a mapping that this one doesn't know: it stays as it is.
         result.note, kept = str(error), records
+    else:
+        kept = [record for record, stay in zip(records, stays, strict=True) if stay]
+        kept += _take(blocks, source, store, sensors, configs, result)
+        kept.sort(key=lambda record: record.row)
     result.kept += sum(record.rows for record in kept)
     for record in kept:
         result.reasons[record.code] += record.rows
@@ -139,27 +143,23 @@ def _again(origin: Origin | None) -> Again:
 
 
 def _take(
-    records: list[Rejection],
-    again: Again,
+    blocks: list[RowBlock],
     source: SourceFile,
     store: Store,
+    sensors: Sensors,
     configs: Sequence[SensorConfig],
     result: SourceRetry,
 ) -> list[Rejection]:
-    """Store what is good now and return the records that stay, in the order of their rows."""
-    sensors, plain = Sensors(configs), Sensors([_first_pixel_at_zero(c) for c in configs])
-    stays = _not_to_try(records, sensors)
-    kept = [record for record, stay in zip(records, stays, strict=True) if stay]
-    tried = [record for record, stay in zip(records, stays, strict=True) if not stay]
-    good = join([Window(*validate(block, sensors)) for block in _blocks(tried, again, source)])
-    kept += good.rejected
+    """Store what is good now and return what is refused again."""
+    good = join([Window(*validate(block, sensors)) for block in blocks])
     if len(good.runs):
+        plain = Sensors([_first_pixel_at_zero(config) for config in configs])
         runs, stars = with_stored(good.runs, good.stars, store, sensors, plain, source.sha256)
         frames = assemble(runs, stars)
         for which, sensor_id, day in by_day(frames, sensors):
             outcome = store.merge_day(day, with_source(frames, which, sensor_id, source)).outcome
             result.frames += int(np.isin(outcome, (Outcome.NEW, Outcome.REPLACED)).sum())
-    return sorted(kept, key=lambda record: record.row)
+    return good.rejected
 
 
 def _first_pixel_at_zero(config: SensorConfig) -> SensorConfig:

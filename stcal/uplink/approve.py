@@ -9,10 +9,9 @@ from stcal.atomic import write_text
 from stcal.calibration import canonical_json, sha256_of
 from stcal.errors import GateRefusalError, InputError
 from stcal.reading import read_json_object
-from stcal.uplink.manifest import NAME, read_manifest
+from stcal.uplink.manifest import APPROVAL, NAME, read_manifest
 
 SCHEMA = "stcal.approval/1"
-APPROVAL = "approval.json"
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from stcal.config import SensorConfig
 from stcal.errors import GateRefusalError, InputError
 from stcal.uplink import decode, encode, manifest
 from stcal.uplink.gates import Candidate, Finding, judge, not_finite, refusals
+from stcal.uplink.held_out import is_number
 from stcal.uplink.tables import Checked, encode_checked
 from stcal.uplink.target import Target
 from stcal.uplink.verify import Difference, verify_dump
@@ -78,7 +79,7 @@ def build(
     InputError
         When a file cannot be read, or ``out`` is not a directory.
     """
-    _refuse(_not_finite(calibration_path), {})
+    _refuse(_all_not_finite(calibration_path, parent_path, evidence.validation), {})
     new, old = load(calibration_path), load(parent_path)
     files, table = _target_files(new, old, evidence)
     candidate = Candidate(
@@ -124,7 +125,7 @@ def _target_files(
     target, source = evidence.target
     rms = new.quality.get("rms_urad")
     fitted = rms.get("fitted") if isinstance(rms, Mapping) else None
-    limit = float(fitted) if isinstance(fitted, int | float) else None
+    limit = float(fitted) if is_number(fitted) else None
     files, checked = encode_checked(new, target, limit)
     back, checked_back = encode_checked(old, target, limit)
     reasons = checked.reasons + [f"rollback: {reason}" for reason in checked_back.reasons]
@@ -186,8 +187,13 @@ def mismatches(files: dict[str, bytes], new: Calibration, old: Calibration) -> l
     return lines + decode.differences("table change_sd", table.relatives, relatives)
 
 
-def _not_finite(path: Path) -> list[str]:
+def _all_not_finite(new: Path, parent: Path, validation: Mapping[str, Any] | None) -> list[str]:
     """Find NaN and infinity, which the JSON reader lets pass, before anything else is read."""
+    judged = [f"validation: {line}" for line in not_finite(validation)]
+    return _not_finite(new) + [f"parent: {line}" for line in _not_finite(parent)] + judged
+
+
+def _not_finite(path: Path) -> list[str]:
     try:
         return list(not_finite(json.loads(path.read_bytes())))
     except (OSError, ValueError, RecursionError):

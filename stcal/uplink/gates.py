@@ -9,19 +9,23 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stcal.calibration import Calibration
 from stcal.config import SensorConfig
 from stcal.constants import DEG
 from stcal.geometry.rotations import vector_from_matrix
+from stcal.uplink.held_out import at, is_number, tai_ns, worse
 from stcal.uplink.tables import Checked
 from stcal.uplink.verify import Difference
 
 HASHES = ("telemetry_sha256", "catalogue_sha256", "config_sha256", "parent_sha256")
 _SHA256 = re.compile(r"[0-9a-f]{64}")
+# Of correlations: what rounding leaves of a matrix that is symmetric and positive.
+_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
@@ -101,7 +105,28 @@ def covariance(candidate: Candidate) -> Finding:
         for name, variance in variances.items()
         if not (variance > 0.0 or (variance == 0.0 and _change(name, candidate) == 0.0))
     )
-    return Finding(reasons, {name: math.sqrt(v) for name, v in variances.items() if v >= 0.0})
+    sds = {name: math.sqrt(v) for name, v in variances.items() if v >= 0.0}
+    return Finding(reasons + tuple(_not_a_covariance(calibration.covariance)), sds)
+
+
+def _not_a_covariance(matrix: NDArray[np.float64]) -> Iterator[str]:
+    """Say why a matrix (P, P) with variances above zero is no covariance, judged by correlations.
+
+    A parameter held fixed has a row of zeros.
+    """
+    variances = np.diag(matrix)
+    if not (variances >= 0.0).all():
+        return
+    sds = np.sqrt(np.where(variances > 0.0, variances, 1.0))
+    with np.errstate(over="ignore", invalid="ignore"):
+        correlations = matrix / sds / sds[:, None]
+        skew = np.abs(correlations - correlations.T).max()
+    if not skew <= _ROUNDING:
+        yield "covariance: the matrix is not symmetric"
+        return
+    least = float(np.linalg.eigvalsh(correlations).min())
+    if least < -_ROUNDING:
+        yield f"covariance: the matrix has the eigenvalue {least:.3g} (as correlations)"
 
 
 def provenance(candidate: Candidate) -> Finding:
@@ -161,7 +186,7 @@ def fit_quality(candidate: Candidate) -> Finding:
     reasons = []
     for name, limit in allowed.items():
         value = found[name]
-        if not _is_number(value):
+        if not is_number(value):
             reasons.append(f"the fit's quality says no {name}")
         elif (value > limit) if name == "condition" else (value < limit):
             bound = "at most" if name == "condition" else "at least"
@@ -236,8 +261,10 @@ def validation(candidate: Candidate) -> Finding:
         found = section.get("sha256") if isinstance(section, Mapping) else None
         if found != sha256:
             reasons.append(f"validation {which}.sha256 is {found!r}, the file's is {sha256!r}")
-    keys = ("availability", "matched_star_ratio", "matched_star_ratio_interval",
-            "common_pair_rms_urad", "rms_ratio", "rms_ratio_interval", "pairs")  # fmt: skip
+    reasons += worse(document)
+    keys = ("availability", "matched_stars", "matched_star_ratio", "matched_star_ratio_interval",
+            "common_pair_rms_urad", "rms_ratio", "rms_ratio_interval", "pairs",
+            "confidence")  # fmt: skip
     return Finding(tuple(reasons), {key: document.get(key) for key in keys})
 
 
@@ -249,15 +276,18 @@ def held_out(candidate: Candidate) -> Finding:
     judged = span if isinstance(span, Mapping) else {}
     times = [s.get(key) for s in (fitted, judged) for key in ("from", "to")]
     figures = {"fit": times[:2], "validation": times[2:]}
-    if not all(isinstance(t, str) for t in times):
+    ns = [t for t in map(tai_ns, times) if t is not None]
+    if len(ns) < len(times) or ns[0] > ns[1] or ns[2] > ns[3]:
         return Finding(("the time spans of fit and validation are not both known",), figures)
-    first, last, start, stop = (str(t) for t in times)
-    if start > last or stop < first:
-        return Finding((), figures)
-    return Finding(
-        (f"the validation's frames ({start} to {stop}) overlap the fit's ({first} to {last})",),
-        figures,
-    )
+    first, last, start, stop = ns
+    reasons = []
+    if not (start > last or stop < first):
+        fit, judged_on = (f"{a} to {b}" for a, b in (times[:2], times[2:]))
+        reasons.append(f"the validation's frames ({judged_on}) overlap the fit's ({fit})")
+    telemetry = at(candidate.validation, "provenance", "telemetry_sha256")
+    if telemetry is not None and telemetry == fitted.get("telemetry_sha256"):
+        reasons.append("the validation read the telemetry of the fit, by its hash")
+    return Finding(tuple(reasons), figures)
 
 
 def table(candidate: Candidate) -> Finding:
@@ -319,10 +349,6 @@ def _change(name: str, candidate: Candidate) -> float:
 
 def _is_sha256(value: Any) -> bool:
     return isinstance(value, str) and _SHA256.fullmatch(value) is not None
-
-
-def _is_number(value: Any) -> TypeGuard[float]:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _verdict(name: str, found: Any) -> Iterator[str]:

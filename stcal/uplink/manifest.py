@@ -15,6 +15,7 @@ from stcal.version import __version__
 
 SCHEMA = "stcal.upload/1"
 NAME, REPORT, TARGET = "manifest.json", "report.html", "target.toml"
+APPROVAL = "approval.json"
 # Binary tables: the cFE's first, whose reported CRC is that of the payload.
 _BINARY = (".tbl", ".bin", ".dat")
 
@@ -82,7 +83,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        Naming the first file that is missing, changed, or not in the manifest's form.
+        Naming the first file that is missing, changed, not in the manifest, or not in its form.
     """
     path = folder / NAME
     document = read_json_object(path)
@@ -97,9 +98,16 @@ def read_manifest(folder: Path) -> dict[str, Any]:
             found = hashlib.sha256(file.read_bytes()).hexdigest()
         except OSError as error:
             raise InputError(f"{file}: cannot be read: {error.strerror}") from None
+        except ValueError:  # a NUL character
+            raise InputError(f"{path}: the entry of {name!r} is damaged") from None
         if found != facts.get("sha256"):
             raise InputError(
                 f"{file}: is not what was built: SHA-256 {found}, the manifest has "
                 f"{facts.get('sha256')}"
             )
+    there = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if not p.is_dir()}
+    unknown = sorted(there - set(files) - {NAME, APPROVAL})
+    if unknown:
+        # It would be sent with the others, and no gate has seen it.
+        raise InputError(f"{folder / unknown[0]}: is not in the manifest")
     return document

@@ -103,17 +103,19 @@ def test_killed_at_random_moments(tmp_path):
     assert any("conflicts" in name for name in reference)
     rng = random.Random(0)
     root, killed, known = tmp_path / "store", 0, set()
-    for attempt in range(KILLS):
+    while killed < KILLS:
         # In any order, some of them twice.
         process = start(root, [*rng.sample(files, len(files)), *rng.sample(files, 2)])
         # The first is cut short, so that the store is not complete at once.
-        time.sleep(rng.uniform(0, 1.2 * took) if attempt else 0.02)
+        time.sleep(rng.uniform(0, took) if killed else 0.02)
         process.send_signal(signal.SIGKILL)
-        killed += process.wait() == -signal.SIGKILL
+        if process.wait() == -signal.SIGKILL:
+            killed += 1
+        else:  # it was done before: a quicker machine than a moment ago
+            took *= 0.95
         now = frames_on_disk(root)
         assert known <= now, "frames were lost"
         known = now
-    assert killed >= KILLS // 2
     for order in (files, files[::-1]):
         assert start(root, order).wait() == 0
         assert cases.snapshot(root) == reference

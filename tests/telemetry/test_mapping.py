@@ -241,7 +241,9 @@ def test_rows_of_stars_wherever_a_batch_ends(tmp_path, batch_rows, monkeypatch):
     batch = few_stars(4, 3.0)
     table = star_table(batch)
     # A frame that contradicts itself is refused whole, wherever a batch ends.
-    first = int(np.flatnonzero(np.diff(table["counter"].to_numpy()) == 0)[0])
+    counter = table["counter"].to_numpy()
+    last = counter[np.flatnonzero(np.diff(counter) == 0)[-1]]
+    first = int(np.flatnonzero(counter == last)[0])
     stamps = table["utc"].to_pylist()
     stamps[first] = stamps[first].replace(year=2025)
     table = table.set_column(2, "utc", pa.array(stamps, pa.timestamp("us")))

@@ -289,3 +289,16 @@ def test_records_of_an_unknown_format_stay(tmp_path):
     before = cases.snapshot(store.root)
     assert all("'telepathy' is not known" in result.note for result in retry(store))
     assert cases.snapshot(store.root) == before
+
+
+def test_a_damaged_store_is_an_error_not_a_note(tmp_path):
+    rows = cases.frames(2)
+    rows[1]["row_px"] = "3000"
+    store, _ = cases.run(tmp_path, cases.write_rows(tmp_path / "a.csv", rows))
+    (fragment,) = store.root.glob("frames/*/*/*.parquet")
+    fragment.write_bytes(b"PAR1")
+    records = cases.records(store)
+    with pytest.raises(InputError, match="damaged fragment") as error:
+        retry(store, [cases.config(rows=5000)])
+    assert str(fragment) in str(error.value)
+    assert cases.records(store) == records

@@ -155,3 +155,33 @@ def test_killed_at_every_replacement(tmp_path, monkeypatch):
         if finished:
             break
     assert steps > 3
+
+
+def test_a_star_that_is_in_the_store_already(tmp_path):
+    """What a kill leaves between the frame and its record's leaving: the star comes again."""
+    rows = cases.frames(1, 3)
+    rows[0] |= {"row_px": "3000", "intensity": "9999"}  # the first in the store's order
+    store, _ = cases.run(tmp_path, cases.write_rows(tmp_path / "a.csv", rows))
+    (path,) = store.root.glob("quarantine/*.parquet")
+    record = path.read_bytes()
+    retry(store, wide())
+    before = cases.snapshot(store.root)
+    path.write_bytes(record)
+    (result,) = retry(store)
+    assert (result.kept, result.frames) == (0, 0)
+    assert cases.snapshot(store.root) == before
+
+
+def test_refused_rows_of_two_versions_are_not_taken_for_one_frame(tmp_path):
+    """Side by side in quarantine, but not in the source, and their temperatures differ."""
+    first, second = (cases.rows(3, temperature_c=text) for text in ("20", "21"))
+    first[2]["row_px"], second[0]["row_px"] = "3000", "3100"
+    rows = [*first, *cases.frames(2)[3:], *second]
+    path = cases.write_rows(tmp_path / "a.csv", rows)
+    store, _ = cases.run(tmp_path / "retry", path)
+    assert [r["row"] for r in cases.records(store) if r["code"] != "conflict"] == [4, 8]
+    (result,) = retry(store, wide())
+    assert result.kept == 0
+    again, _ = cases.run(tmp_path / "again", path)
+    again, _ = cases.run(tmp_path / "again", path, configs=wide())
+    assert cases.snapshot(store.root) == cases.snapshot(again.root)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 import telemetry_cases as cases
 
@@ -95,3 +97,29 @@ def test_a_larger_limit_takes_them_on_a_retry(tmp_path, suffix):
     again, _ = cases.run(tmp_path / "again", path)
     again, _ = cases.run(tmp_path / "again", path, configs=[limited(200.0)])
     assert cases.snapshot(store.root) == cases.snapshot(again.root)
+
+
+def test_neighbours_are_of_the_same_sensor(tmp_path):
+    """The last frame of one sensor is not judged by the first of the next."""
+    rows = table((1, 100), (2, 200))
+    rows += [row | {"sensor_id": "ST16-2"} for row in table((3, 110), (4, 210))]
+    _, summary = cases.run(tmp_path, cases.write_rows(tmp_path / "a.csv", rows))
+    assert summary.quarantined == {}
+
+
+def test_a_line_with_a_broken_star_counts_each_row_once(tmp_path):
+    lines = []
+    for frame, seconds in ((1, 100), (2, 10), (3, 300)):
+        stars = [{"row_px": 1.0, "col_px": 1.0}, {"row_px": 9999.0 if frame == 2 else 2.0}]
+        stars[1]["col_px"] = 2.0
+        document = {
+            "sensor_id": "ST16-1",
+            "frame_id": frame,
+            "time_utc": at(frame, seconds)[0]["time_utc"],
+            "exposures": [{"exposure": 0, "stars": stars}],
+        }
+        lines.append(json.dumps(document))
+    (tmp_path / "a.jsonl").write_text("\n".join(lines) + "\n")
+    _, summary = cases.run(tmp_path, tmp_path / "a.jsonl")
+    assert summary.quarantined == {"outside_detector": 1, "time_backwards": 1}
+    assert summary.counts.rows == 6

@@ -72,6 +72,17 @@ def validation_document(candidate: str, baseline: str) -> dict[str, Any]:
         "candidate": {"serial": 2, "sha256": candidate},
         "baseline": {"serial": 1, "sha256": baseline},
         "span": {"from": "2026-01-03T00:00:00.000Z", "to": "2026-01-04T00:00:00.000Z"},
+        "confidence": 0.95,
+        "availability": {
+            "baseline": 0.87,
+            "candidate": 1.0,
+            "interval": {"baseline": [0.81, 0.92], "candidate": [1.0, 1.0]},
+        },
+        "matched_stars": {"baseline": 1372, "candidate": 2308},
+        "matched_star_ratio": 1.68,
+        "matched_star_ratio_interval": [1.58, 1.8],
+        "rms_ratio": 0.127,
+        "rms_ratio_interval": [0.123, 0.132],
     }
 
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from conftest import ROOT, st16_config
 from sample_calibrations import fitted_document, parent_document, validation_document, write
@@ -16,6 +17,7 @@ from sample_calibrations import fitted_document, parent_document, validation_doc
 from stcal.calibration import load, sha256_of
 from stcal.cli import main
 from stcal.errors import GateRefusalError, InputError
+from stcal.report.upload_content import upload_verdict
 from stcal.report.upload_html import render
 from stcal.uplink.approve import approval_of, approve
 from stcal.uplink.build import Built, Evidence, build
@@ -86,6 +88,27 @@ def _span(first: str, last: str) -> Any:
     return change
 
 
+def _judged(**changes: Any) -> Any:
+    def change(candidate: Candidate) -> Candidate:
+        assert candidate.validation is not None
+        return replace(candidate, validation={**candidate.validation, **changes})
+
+    return change
+
+
+def _covariance(i: int, j: int, correlation: float, both: bool = True) -> Any:
+    """Set a correlation, of both its places or of one."""
+
+    def change(candidate: Candidate) -> Candidate:
+        matrix = np.array(candidate.calibration.covariance)
+        matrix[i, j] = correlation * np.sqrt(matrix[i, i] * matrix[j, j])
+        if both:
+            matrix[j, i] = matrix[i, j]
+        return replace(candidate, calibration=replace(candidate.calibration, covariance=matrix))
+
+    return change
+
+
 def _other_camera(candidate: Candidate) -> Candidate:
     from stcal.cameras import CAMERAS, Camera
 
@@ -111,6 +134,38 @@ REFUSED: dict[str, tuple[Any, str, str]] = {
     "touching": (
         _span("2026-01-02T00:00:00.000Z", "2026-01-05T00:00:00.000Z"), "held-out", "overlap"
     ),
+    "touching within a millisecond": (
+        _span("2026-01-01T23:59:59.999999999Z", "2026-01-05T00:00:00.000Z"), "held-out", "overlap"
+    ),
+    "times of another zone": (
+        _span("2026-01-05T00:00:00+02:00", "2026-01-06T00:00:00+02:00"), "held-out", "not both"
+    ),
+    "no times": (_span("zzz", "zzz"), "held-out", "not both known"),
+    "span turned round": (
+        _span("2026-01-04T00:00:00.000Z", "2026-01-03T00:00:00.000Z"), "held-out", "not both"
+    ),
+    "telemetry of the fit": (
+        _judged(provenance={"telemetry_sha256": "d" * 64}), "held-out", "read the telemetry of the"
+    ),
+    "availability": (
+        _judged(availability={"interval": {"baseline": [0.9, 1.0], "candidate": [0.5, 0.8]}}),
+        "validation", "availability 0.5 to 0.8 is worse than the parent's 0.9 to 1",
+    ),
+    "matched stars": (
+        _judged(matched_star_ratio_interval=[0.9, 0.99]), "validation", "ratio is 0.9 to 0.99"
+    ),
+    "common pairs": (
+        _judged(rms_ratio_interval=[1.02, 1.1]), "validation", "common pairs is 1.02 to 1.1"
+    ),
+    "no availability": (_judged(availability=None), "validation", "no intervals of availability"),
+    "no matched stars": (
+        _judged(matched_star_ratio_interval=[None, None]), "validation", "no interval of matched"
+    ),
+    "no common pairs": (_judged(rms_ratio_interval=None), "validation", "no interval of rms_ratio"),
+    "interval turned round": (_judged(rms_ratio_interval=[0.2, 0.1]), "validation", "no interval"),
+    "covariance with a loop": (_covariance(0, 1, 2.0), "covariance", "has the eigenvalue -1"),
+    "covariance askew": (_covariance(0, 1, 0.5, both=False), "covariance", "not symmetric"),
+    "frames beyond a float": (_quality(frames=10**400), "fit-quality", "says no frames"),
     "no span": (lambda c: replace(c, validation={}), "held-out", "not both known"),
     "no validation": (lambda c: replace(c, validation=None), "validation", "no --validation"),
     "no store": (lambda c: replace(c, on_disk=None), "files", "no --store"),
@@ -136,6 +191,34 @@ def test_a_gate_refuses_and_can_be_overridden(name: str, pair: tuple[Path, Path,
     told = refusals(found)
     assert any(line.startswith(f"{gate}: ") and reason in line for line in told), told
     assert not [line for line in refusals(found, [gate]) if line.startswith(f"{gate}: ")]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        _judged(rms_ratio_interval=[0.9, 1.1], matched_star_ratio_interval=[0.9, 1.1]),
+        _judged(availability={"interval": {"baseline": [0.8, 1.0], "candidate": [0.7, 0.9]}}),
+        # Nothing to divide by where the parent matches no star.
+        _judged(
+            matched_stars={"baseline": 0, "candidate": 9}, matched_star_ratio_interval=[None, None]
+        ),
+        _span("2026-01-02T00:00:00.000000001Z", "2026-01-05T00:00:00.000Z"),
+        _covariance(0, 1, 0.999),
+    ],
+)
+def test_what_is_not_worse_passes(change: Any, pair: tuple[Path, Path, Path]) -> None:
+    assert refusals(judge(change(candidate_of(pair)))) == []
+
+
+@pytest.mark.parametrize("which", [1, 2])
+def test_nan_of_any_input_is_refused(
+    which: int, pair: tuple[Path, Path, Path], tmp_path: Path
+) -> None:
+    document = json.loads(pair[which].read_text())
+    write(pair[which], {**document, "quality": {"rms": float("nan")}})
+    with pytest.raises(GateRefusalError, match=r"(parent|validation): quality\.rms is nan"):
+        built(pair, tmp_path / "up")
+    assert not (tmp_path / "up").exists()
 
 
 def test_gates_never_raise_on_a_bare_calibration(pair: tuple[Path, Path, Path]) -> None:
@@ -202,6 +285,17 @@ def test_overrides_are_recorded_and_shown(pair: tuple[Path, Path, Path], tmp_pat
     assert "archive is offline" in (found.folder / "report.html").read_text()
 
 
+def test_an_override_that_was_not_needed_is_told_as_such(
+    pair: tuple[Path, Path, Path], tmp_path: Path
+) -> None:
+    found = built(pair, tmp_path / "up", overrides={"limits": "as a precaution"})
+    assert found.manifest["overrides"] == {"limits": "as a precaution"}
+    notes = upload_verdict(found.manifest).notes
+    assert notes == ("gate limits passed, its override was not needed: as a precaution",)
+    found = built(pair, tmp_path / "up2", on_disk=None, overrides={"files": "offline"})
+    assert upload_verdict(found.manifest).notes == ("gate files overridden: offline",)
+
+
 def test_a_readback_must_hold_the_parent(pair: tuple[Path, Path, Path], tmp_path: Path) -> None:
     first = built(pair, tmp_path / "up").folder
     dump = next((first / "rollback").glob("*.tbl")).read_bytes()
@@ -252,6 +346,24 @@ def test_a_changed_file_is_not_approved(
         assert run(capsys, "approve", other, "--name", "A")[0] == 3
         shutil.rmtree(other)
     assert run(capsys, "approve", tmp_path / "nothing", "--name", "A")[0] == 3
+
+
+def test_what_the_manifest_does_not_name_is_not_approved(
+    pair: tuple[Path, Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = built(pair, tmp_path / "up").folder
+    (folder / "rollback" / "other.tbl").write_bytes(b"other")
+    code, found = run(capsys, "approve", folder, "--name", "A")
+    assert code == 3
+    assert "rollback/other.tbl: is not in the manifest" in found["error"]
+    (folder / "rollback" / "other.tbl").unlink()
+    document = json.loads((folder / "manifest.json").read_text())
+    for files in ({}, {**document["files"], "a\0b": {"sha256": ""}}):
+        write(folder / "manifest.json", {**document, "files": files})
+        assert run(capsys, "approve", folder, "--name", "A")[0] == 3
+    write(folder / "manifest.json", document)
+    assert run(capsys, "approve", folder, "--name", "A")[0] == 0
+    assert run(capsys, "approve", folder, "--name", "A")[0] == 0
 
 
 def test_verify_names_the_first_field_that_differs(
