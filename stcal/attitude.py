@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stcal.constants import EXPOSURES_PER_FRAME
-from stcal.geometry.rotations import vector_from_matrix
+from stcal.geometry.rotations import nearest_rotation, vector_from_matrix
 
 if TYPE_CHECKING:
     from stcal.frames import MatchedFrames
@@ -30,9 +30,7 @@ def solve_wahba(
     outer = weight[:, None, None] * s_d[:, :, None] * s_i[:, None, :]
     profile = _sum_by_exposure(outer, exposure, n_exposures)
     count = np.bincount(exposure, weight > 0, minlength=n_exposures)
-    left, _, right = np.linalg.svd(profile)
-    left[:, :, 2] *= (np.linalg.det(left) * np.linalg.det(right))[:, None]
-    c_di: Floats = left @ right
+    c_di = nearest_rotation(profile)
     c_di[count < 2] = np.nan
     return c_di
 

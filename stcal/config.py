@@ -42,9 +42,13 @@ def _no_nul(text: str) -> str:
     return text
 
 
+# Of every table of every TOML file.  Strict: a number written as text is a mistake; integers still
+# pass for floats.
+STRICT = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
 class _Section(BaseModel):
-    # Strict: a number written as text is a mistake; integers still pass for floats.
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    model_config = STRICT
 
 
 class Detector(_Section):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from stcal.cli.inputs import MATCHING, OUT, Selection, read_inputs, store_options
-from stcal.cli.output import emit, progress
+from stcal.cli.output import conclude, progress, write_documents
 from stcal.cli.paths import output_folder
 from stcal.errors import InputError, UsageError
 
@@ -133,7 +133,8 @@ def command(
         document = align(
             inputs.batches, chosen, attitudes, inputs.matcher, provenance, options, mapper
         )
-    _finish(document, out, as_json)
+    write_documents(document, out / DOCUMENT, out / REPORT)
+    conclude(document, as_json, lambda console: _tables(document, console))
 
 
 def _attitudes(
@@ -161,22 +162,6 @@ def _attitudes(
     if len(found.t_tai_ns) == 0:
         raise InputError(f"{selection.store}: no frame of {source.sensor} has an attitude")
     return found
-
-
-def _finish(document: dict[str, Any], out: Path, as_json: bool) -> None:
-    """Write and print a document; a refused one ends the command."""
-    from stcal.atomic import write_text
-    from stcal.calibration import canonical_json
-    from stcal.pipeline.fit import refusal_of
-    from stcal.report.html import write_report
-
-    write_text(out / DOCUMENT, canonical_json(document))
-    write_report(document, out / REPORT)
-    accepted = document["verdict"]["accepted"]
-    if accepted or not as_json:
-        emit(document, as_json, lambda console: _tables(document, console))
-    if not accepted:
-        raise refusal_of(document)
 
 
 def _tables(document: dict[str, Any], console: Console) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from stcal.cli.inputs import JSON
-from stcal.cli.output import emit
+from stcal.cli.output import conclude
 from stcal.cli.paths import output_file
 from stcal.errors import UsageError
 
@@ -63,12 +63,7 @@ def convert(
         write_report(result.document, output_file(report))
     if result.calibration is not None:
         save(result.calibration, out)
-    if result.calibration is not None or not as_json:
-        emit(result.document, as_json, lambda console: _tables(result.document, console))
-    if result.calibration is None:
-        from stcal.pipeline.fit import refusal_of
-
-        raise refusal_of(result.document)
+    conclude(result.document, as_json, lambda console: _tables(result.document, console))
 
 
 def _tables(document: dict[str, Any], console: Console) -> None:

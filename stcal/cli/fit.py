@@ -10,7 +10,11 @@ import click
 
 from stcal.cli.filter_options import FilterOptions, filter_options
 from stcal.cli.inputs import OUT, Inputs, Selection, read_inputs, store_options
-from stcal.cli.output import emit, progress
+from stcal.cli.output import (
+    conclude,
+    progress,
+    write_documents,
+)
 from stcal.cli.paths import output_folder
 
 if TYPE_CHECKING:
@@ -92,13 +96,7 @@ def command(
             inputs, parent, matches, names, residual, workers, label, filtering, out
         )
     _write(document, calibration, out)
-    if calibration is None:
-        from stcal.pipeline.fit import refusal_of
-
-        if not as_json:
-            emit(document, as_json, lambda console: _tables(document, console))
-        raise refusal_of(document)
-    emit(document, as_json, lambda console: _tables(document, console))
+    conclude(document, as_json, lambda console: _tables(document, console))
 
 
 def _residual(name: str, groups: int | None, values: str | None) -> Residual:
@@ -186,16 +184,6 @@ def _write(document: dict[str, Any], calibration: Calibration | None, out: Path)
     write_documents(document, out / DOCUMENT, out / REPORT)
     if calibration is not None:
         save(calibration, out / FITTED)
-
-
-def write_documents(document: dict[str, Any], path: Path, report: Path) -> None:
-    """Write a document and the HTML report made of it."""
-    from stcal.atomic import write_text
-    from stcal.calibration import canonical_json
-    from stcal.report.html import write_report
-
-    write_text(path, canonical_json(document))
-    write_report(document, report)
 
 
 def _tables(document: dict[str, Any], console: Console) -> None:

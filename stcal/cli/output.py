@@ -6,6 +6,7 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import click
@@ -43,6 +44,33 @@ def emit(document: dict[str, Any], as_json: bool, human: Callable[[Console], Non
     from rich.console import Console
 
     human(Console())
+
+
+def conclude(document: dict[str, Any], as_json: bool, human: Callable[[Console], None]) -> None:
+    """Print a judged document; a refused one ends the command.
+
+    Raises
+    ------
+    GateRefusalError
+        When the document's verdict is a refusal; as JSON the error carries the document.
+    """
+    from stcal.pipeline.fit import refusal_of
+
+    accepted = document["verdict"]["accepted"]
+    if accepted or not as_json:
+        emit(document, as_json, human)
+    if not accepted:
+        raise refusal_of(document)
+
+
+def write_documents(document: dict[str, Any], path: Path, report: Path) -> None:
+    """Write a document and the HTML report made of it."""
+    from stcal.atomic import write_text
+    from stcal.calibration import canonical_json
+    from stcal.report.html import write_report
+
+    write_text(path, canonical_json(document))
+    write_report(document, report)
 
 
 @contextmanager

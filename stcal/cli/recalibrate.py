@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from stcal.cli.inputs import JSON
-from stcal.cli.output import emit, progress
+from stcal.cli.output import emit, progress, write_documents
 from stcal.cli.paths import output_folder
 
 if TYPE_CHECKING:
@@ -54,18 +54,9 @@ def command(context: click.Context, plan: Path, workers: int, as_json: bool) -> 
 
         run = recalibrate(file, mapper, Runner(), on_step)
     document = fleet_document(file, run)
-    _write(document, file.out)
+    write_documents(document, file.out / DOCUMENT, file.out / INDEX)
     emit(document, as_json, lambda console: _table(document, file.out, console))
     context.exit(run.exit_code)
-
-
-def _write(document: dict[str, Any], out: Path) -> None:
-    from stcal.atomic import write_text
-    from stcal.calibration import canonical_json
-    from stcal.report.html import write_report
-
-    write_text(out / DOCUMENT, canonical_json(document))
-    write_report(document, out / INDEX)
 
 
 def _table(document: dict[str, Any], out: Path, console: Console) -> None:
@@ -74,4 +65,4 @@ def _table(document: dict[str, Any], out: Path, console: Console) -> None:
     from stcal.report.tables import fleet_tables
 
     fleet_tables(document, console)
-    console.print(Text(f"index: {out / INDEX}"))
+    console.print(Text(f"index: {out / INDEX}"), soft_wrap=True)

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import click
 
 from stcal.cli.inputs import JSON, OUT, WORKERS
-from stcal.cli.output import emit, progress
+from stcal.cli.output import progress
 from stcal.cli.paths import output_folder
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-DOCUMENT, REPORT = "study.json", "report.html"
+from stcal.cli.study_output import finish
 
 
 @click.command(name="enright")
@@ -54,8 +49,8 @@ def command(
     Writes study.json and report.html into --out: Tables III to VII and Figures 3 to 5 with the
     paper's values beside, and which of its findings hold.
     """
-    from stcal.cli.fit import write_documents
     from stcal.execution import scheduler
+    from stcal.report.tables import enright_tables
     from stcal.simulate import load_scenario
     from stcal.studies.enright import STEPS, run_study
     from stcal.studies.scenarios import shortened
@@ -66,8 +61,7 @@ def command(
     total = STEPS * len(found)
     with scheduler(workers) as mapper, progress("study enright", total=total) as bar:
         document = run_study(found, seed, mapper, bar.advance)
-    write_documents(document, out / DOCUMENT, out / REPORT)
-    emit(document, as_json, lambda console: _tables(document, out / REPORT, console))
+    finish(document, out, as_json, enright_tables)
 
 
 def _numbers(sensors: str) -> list[int]:
@@ -80,12 +74,3 @@ def _numbers(sensors: str) -> list[int]:
     if unknown or len(set(named)) != len(named):
         raise UsageError(f"--sensors {sensors!r}: give each of {', '.join(known)} at most once")
     return [known[item] for item in named]
-
-
-def _tables(document: dict[str, Any], report: Path, console: Console) -> None:
-    from rich.text import Text
-
-    from stcal.report.tables import enright_tables
-
-    enright_tables(document, console)
-    console.print(Text(f"report: {report}"), soft_wrap=True)

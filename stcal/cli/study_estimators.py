@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import click
 
 from stcal.cli.inputs import JSON, OUT, WORKERS
-from stcal.cli.output import emit, progress
+from stcal.cli.output import progress
 from stcal.cli.paths import output_folder
+from stcal.cli.study_output import finish
 
-if TYPE_CHECKING:
-    from rich.console import Console
-
-DOCUMENT, REPORT = "study.json", "report.html"
 RUNS, FRAMES, SEED = 10, 200, 1
 
 
@@ -63,8 +59,8 @@ def command(
     """
     # Times are those of one thread: linear algebra must not start its own beside the workers.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from stcal.cli.fit import write_documents
     from stcal.execution import scheduler
+    from stcal.report.estimators_html import study_tables
     from stcal.report.estimators_page import write_page
     from stcal.simulate import load_scenario
     from stcal.studies.estimators import SCENARIOS, run_study, steps
@@ -73,11 +69,10 @@ def command(
     output_folder(out)
     with scheduler(workers) as mapper, progress("study estimators", total=steps(runs)) as bar:
         document = run_study(found, runs, frames, seed, mapper, bar.advance)
-    write_documents(document, out / DOCUMENT, out / REPORT)
     if page is not None:
         output_folder(page.parent)
         write_page(document, page, _repeat(out, page, runs, frames, seed))
-    emit(document, as_json, lambda console: _tables(document, out / REPORT, console))
+    finish(document, out, as_json, study_tables)
 
 
 def _repeat(out: Path, page: Path, runs: int, frames: int, seed: int) -> str:
@@ -85,12 +80,3 @@ def _repeat(out: Path, page: Path, runs: int, frames: int, seed: int) -> str:
     changed = {"--runs": (runs, RUNS), "--frames": (frames, FRAMES), "--seed": (seed, SEED)}
     options = [f"{name} {value}" for name, (value, usual) in changed.items() if value != usual]
     return " ".join([f"stcal study estimators --out {out} --page {page}", *options])
-
-
-def _tables(document: dict[str, Any], report: Path, console: Console) -> None:
-    from rich.text import Text
-
-    from stcal.report.estimators_html import study_tables
-
-    study_tables(document, console)
-    console.print(Text(f"report: {report}"), soft_wrap=True)

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import click
 
 from stcal.cli.inputs import JSON, OUT, WORKERS
-from stcal.cli.output import emit, progress
+from stcal.cli.output import progress
 from stcal.cli.paths import output_folder
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-DOCUMENT, REPORT = "study.json", "report.html"
+from stcal.cli.study_output import finish
 
 
 @click.command(name="tracking")
@@ -57,8 +52,8 @@ def command(
     Writes study.json and report.html into --out: truth against estimate with and without process
     noise, and whether a temperature model is chosen where the data support it.
     """
-    from stcal.cli.fit import write_documents
     from stcal.execution import scheduler
+    from stcal.report.tables import tracking_tables
     from stcal.simulate import load_scenario
     from stcal.studies.tracking import run_study
     from stcal.studies.tracking_cases import CASES, short_scenario
@@ -71,14 +66,4 @@ def command(
     total = runs * len(found)
     with scheduler(workers) as mapper, progress("study tracking", total=total) as bar:
         document = run_study(found, seed, runs, mapper, bar.advance)
-    write_documents(document, out / DOCUMENT, out / REPORT)
-    emit(document, as_json, lambda console: _tables(document, out / REPORT, console))
-
-
-def _tables(document: dict[str, Any], report: Path, console: Console) -> None:
-    from rich.text import Text
-
-    from stcal.report.tables import tracking_tables
-
-    tracking_tables(document, console)
-    console.print(Text(f"report: {report}"), soft_wrap=True)
+    finish(document, out, as_json, tracking_tables)

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import click
 
 from stcal.cli.inputs import JSON, OUT, WORKERS
-from stcal.cli.output import emit, progress
+from stcal.cli.output import progress
 from stcal.cli.paths import output_folder
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-DOCUMENT, REPORT = "study.json", "report.html"
+from stcal.cli.study_output import finish
 
 
 @click.command(name="wu")
@@ -47,23 +42,13 @@ def command(
     Writes study.json and report.html into --out: Tables 2 to 4 and Figures 3, 4 and 6 with the
     paper's values beside, what the data allow, and which of the paper's findings hold.
     """
-    from stcal.cli.fit import write_documents
     from stcal.config import load_config
     from stcal.execution import scheduler
+    from stcal.report.wu_html import study_tables
     from stcal.studies.wu import run_study
 
     sensor = load_config(config)
     output_folder(out)
     with scheduler(workers) as mapper, progress("study wu", total=runs) as bar:
         document = run_study(sensor, runs, seed, mapper, bar.advance, images)
-    write_documents(document, out / DOCUMENT, out / REPORT)
-    emit(document, as_json, lambda console: _tables(document, out / REPORT, console))
-
-
-def _tables(document: dict[str, Any], report: Path, console: Console) -> None:
-    from rich.text import Text
-
-    from stcal.report.wu_html import study_tables
-
-    study_tables(document, console)
-    console.print(Text(f"report: {report}"), soft_wrap=True)
+    finish(document, out, as_json, study_tables)

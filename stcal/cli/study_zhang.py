@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import click
 
 from stcal.cli.inputs import JSON, OUT, WORKERS
-from stcal.cli.output import emit, progress
+from stcal.cli.output import progress
 from stcal.cli.paths import output_folder
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-DOCUMENT, REPORT = "study.json", "report.html"
+from stcal.cli.study_output import finish
 
 
 @click.command(name="zhang")
@@ -43,6 +38,7 @@ def command(out: Path, scenario: Path, runs: int, seed: int, workers: int, as_js
     findings hold.
     """
     from stcal.execution import scheduler
+    from stcal.report.zhang_html import study_tables
     from stcal.simulate import load_scenario
     from stcal.studies.zhang import STEPS_PER_RUN, run_study
 
@@ -51,23 +47,4 @@ def command(out: Path, scenario: Path, runs: int, seed: int, workers: int, as_js
     total = STEPS_PER_RUN * runs
     with scheduler(workers) as mapper, progress("study zhang", total=total) as bar:
         document = run_study(found, runs, seed, mapper, bar.advance)
-    _write(document, out)
-    emit(document, as_json, lambda console: _tables(document, out / REPORT, console))
-
-
-def _write(document: dict[str, Any], out: Path) -> None:
-    from stcal.atomic import write_text
-    from stcal.calibration import canonical_json
-    from stcal.report.html import write_report
-
-    write_text(out / DOCUMENT, canonical_json(document))
-    write_report(document, out / REPORT)
-
-
-def _tables(document: dict[str, Any], report: Path, console: Console) -> None:
-    from rich.text import Text
-
-    from stcal.report.zhang_html import study_tables
-
-    study_tables(document, console)
-    console.print(Text(f"report: {report}"), soft_wrap=True)
+    finish(document, out, as_json, study_tables)

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from stcal.cli.fit import write_documents
 from stcal.cli.inputs import MATCHING, OUT, Selection, read_inputs, store_options
-from stcal.cli.output import emit, progress
+from stcal.cli.output import conclude, progress, write_documents
 from stcal.cli.paths import output_folder
 
 if TYPE_CHECKING:
@@ -38,7 +37,6 @@ def command(
     """
     from stcal.calibration import load, sha256_of
     from stcal.execution import scheduler
-    from stcal.pipeline.fit import refusal_of
     from stcal.pipeline.validate import validate
 
     output_folder(out)
@@ -52,11 +50,7 @@ def command(
     with scheduler(workers) as mapper, progress(f"validate {selection.sensor}"):
         document = validate(inputs.batches, old, new, inputs.matcher, hashes, matching, mapper)
     write_documents(document, out / "validation.json", out / "report.html")
-    if as_json and not document["verdict"]["accepted"]:
-        raise refusal_of(document)
-    emit(document, as_json, lambda console: _tables(document, console))
-    if not document["verdict"]["accepted"]:
-        raise refusal_of(document)
+    conclude(document, as_json, lambda console: _tables(document, console))
 
 
 def _tables(document: dict[str, Any], console: Console) -> None:

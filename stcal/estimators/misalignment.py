@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stcal.geometry.rotations import matrix_from_vector
+from stcal.geometry.rotations import matrix_from_vector, nearest_rotation
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -250,10 +250,3 @@ def _frame_information(
     both = np.concatenate([stars, vector[:, :, None]], axis=2)
     reduced = np.linalg.solve(np.eye(3) + stars @ noise, both)
     return reduced[:, :, :3], reduced[:, :, 3]
-
-
-def nearest_rotation(matrix: Floats) -> Floats:
-    """Return the rotation (3, 3) nearest to a matrix in the sum of squares of the elements."""
-    left, _, right = np.linalg.svd(matrix)
-    left[:, 2] *= np.linalg.det(left) * np.linalg.det(right)
-    return np.asarray(left @ right)

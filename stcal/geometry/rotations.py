@@ -14,6 +14,16 @@ def vector_from_matrix(c: Floats) -> Floats:
     return np.asarray(Rotation.from_matrix(c).as_rotvec())
 
 
+def nearest_rotation(matrix: Floats) -> Floats:
+    """Return the rotations (..., 3, 3) nearest to matrices in the sum of squares of the elements.
+
+    Of an attitude profile matrix, Wahba's best attitude (Markley 1988).
+    """
+    left, _, right = np.linalg.svd(matrix)
+    left[..., 2] *= (np.linalg.det(left) * np.linalg.det(right))[..., None]
+    return np.asarray(left @ right)
+
+
 def matrix_from_vector(vector: Floats) -> Floats:
     """Return matrices (K, 3, 3) of rotation vectors (K, 3) [rad]."""
     return np.asarray(Rotation.from_rotvec(vector).as_matrix())

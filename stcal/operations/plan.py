@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, Field, ValidationError, model_validator
 
-from stcal.config import error_lines
-from stcal.errors import ConfigError, UsageError
+from stcal.config import STRICT, error_lines
+from stcal.errors import ConfigError
 from stcal.reading import read_toml
 from stcal.times import parse_utc
 
@@ -19,7 +19,7 @@ SCHEMA = "stcal.recalibration/1"
 def _utc(text: str) -> str:
     try:
         parse_utc(text if "T" in text else f"{text}T00:00:00Z")
-    except (ValueError, UsageError):
+    except ValueError:
         raise ValueError("is not a UTC time such as 2026-01-05 or 2026-01-05T12:00:00Z") from None
     return text
 
@@ -36,8 +36,7 @@ FolderName = Annotated[str, Field(min_length=1, max_length=120), AfterValidator(
 
 
 class _Section(BaseModel):
-    # Strict: a number written as text is a mistake.
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    model_config = STRICT
 
 
 class Span(_Section):

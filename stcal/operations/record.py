@@ -13,14 +13,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from stcal.atomic import write_text
+from stcal.calibration import sha256_of
 from stcal.errors import InputError
 from stcal.operations.steps import Step
 from stcal.reading import read_json_object
 from stcal.version import __version__
 
 SCHEMA = "stcal.step/1"
+SUCCESS = (0, 5)
 # A refusal comes of the content, and would come again.
-_LASTING = (0, 4, 5)
+LASTING = (*SUCCESS, 4)
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ class Outcome:
     @property
     def succeeded(self) -> bool:
         """Whether the next step may follow."""
-        return self.exit_code in (0, 5)
+        return self.exit_code in SUCCESS
 
 
 def key_of(step: Step) -> str:
@@ -63,7 +65,7 @@ def recall(step: Step, key: str) -> Outcome | None:
         same = found["schema"] == SCHEMA and found["key"] == key
     except (InputError, KeyError, TypeError):
         return None
-    if not same or outputs != _contents(step) or outcome.exit_code not in _LASTING:
+    if not same or outputs != _contents(step) or outcome.exit_code not in LASTING:
         return None
     return Outcome(**(asdict(outcome) | {"again": True}))
 
@@ -107,8 +109,7 @@ def _expanded(outputs: Iterable[Path]) -> Iterator[Path]:
 
 def _sha256(path: Path) -> str:
     try:
-        with path.open("rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
+        return sha256_of(path)
     except OSError as error:
         return f"cannot be read: {error.strerror}"
 

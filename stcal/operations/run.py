@@ -75,7 +75,6 @@ def worst(codes: Any) -> int:
 class Runner:
     """Runs steps as processes and can stop them."""
 
-    environment: dict[str, str] | None = None
     stopped: Event = field(default_factory=Event)
 
     def step(self, step: Step) -> Outcome:
@@ -99,14 +98,16 @@ class Runner:
         seconds = round(time.monotonic() - start, 2)
         log = [f"stcal {' '.join(step.arguments)}", f"exit code {code}", told, printed]
         write_text(step.folder / f"{step.name}.log", "\n".join(filter(None, log)) + "\n")
-        return Outcome(step.name, code, "" if code in (0, 5) else _message(printed, told), seconds)
+        return Outcome(
+            step.name, code, "" if code in record.SUCCESS else _message(printed, told), seconds
+        )
 
     def command(self, arguments: Sequence[str]) -> tuple[int, str, str]:
         """Run ``stcal`` with ``--json``; return exit code, standard output and error."""
         command = [sys.executable, "-m", "stcal", *arguments, "--json"]
         with subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-            text=True, errors="backslashreplace", env=self.environment,
+            text=True, errors="backslashreplace",
         ) as process:  # fmt: skip
             while True:
                 try:
@@ -175,7 +176,7 @@ def _one_sensor(file: PlanFile, sensor: Sensor, runner: Runner, on_step: OnStep)
 
 def _report(folder: Path, outcomes: Sequence[Outcome], runner: Runner) -> None:
     """Make the report of fit and validation where both were done, unless it is there."""
-    done = {outcome.name: outcome for outcome in outcomes if outcome.exit_code in (0, 4, 5)}
+    done = {outcome.name: outcome for outcome in outcomes if outcome.exit_code in record.LASTING}
     if "fit" not in done or "validate" not in done:
         return
     old = done["fit"].again and done["validate"].again and (folder / "report.html").exists()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +50,7 @@ class Cycle:
     rejected: int
     changed: int
 
-    @property
+    @cached_property
     def arcs(self) -> list[BoundArclength]:
         """The arclengths of the stars used, whatever they were fitted by: for figures."""
         return [arcs_of(b, self.camera) for b in self.bound]

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from stcal.report.content import Table, origin
-from stcal.report.document import Document, matrix, numbers, section, text
+from stcal.report.content import (
+    Table,
+    matrix_rows,
+    origin,
+)
+from stcal.report.document import Document, numbers, section, text
 from stcal.report.format import (
-    NOT_AVAILABLE,
     count,
     fixed,
     interval,
@@ -46,11 +49,7 @@ def method_table(document: Document) -> Table:
 def result_table(document: Document) -> Table:
     """The result as a matrix and a quaternion; not available when refused."""
     result = section(document, "result")
-    lines = matrix(result.get("c_sb"), 3)
-    rows = [("C_SB", NOT_AVAILABLE)]
-    if lines is not None:
-        pairs = zip("xyz", lines, strict=False)
-        rows = [(f"C_SB row {axis}", vector(line.tolist(), 9)) for axis, line in pairs]
+    rows = matrix_rows("C_SB", result.get("c_sb"))
     rows.append(("Quaternion of S relative to B", vector(result.get("q_sb"), 9)))
     note = "C_SB takes components in the body frame B to the sensor frame S."
     return Table("Result", ("", ""), tuple(rows), note, numeric=False)

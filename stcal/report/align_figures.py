@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stcal.report.document import Document, Floats, matrix, numbers, section
-from stcal.report.svg import AFTER, BEFORE, NEUTRAL, draw, start_axes
+from stcal.report.svg import (
+    AFTER,
+    BEFORE,
+    NEUTRAL,
+    draw,
+    plain_numbers,
+    start_axes,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,7 +52,7 @@ def _panels(
         unit = "departure, band ±3 sd [arcsec]" if k == 0 else ""
         start_axes(axes, f"About {'xyz'[k]}", "time [s]", unit)
         axes.set_xscale("log")
-        axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        plain_numbers(axes.xaxis)
         axes.minorticks_off()
         for method, (departure, sd) in lines.items():
             _line(axes, elapsed, departure[:, k], 3.0 * sd[:, k], method)

@@ -14,6 +14,7 @@ from stcal.report.document import (
     Document,
     Floats,
     columns,
+    matrix,
     number,
     section,
     sequence,
@@ -26,6 +27,7 @@ from stcal.report.format import (
     interval,
     percent,
     rms,
+    share,
     vector,
     words,
 )
@@ -77,7 +79,7 @@ def verdict(document: Document, subject: str) -> Verdict:
 def validation_summary(document: Document) -> Table:
     """Baseline against candidate on held-out data, each with its confidence interval."""
     rows = [_validation_row(document, *line) for line in _COMPARED]
-    level = percent(document.get("confidence")).replace(".0 %", " %")
+    level = share(document.get("confidence"))
     header = ("On held-out data", "Baseline", "Candidate", "Candidate / baseline")
     note = f"In parentheses: {level} confidence interval, bootstrap over frames."
     return Table("Before and after", header, tuple(rows), note)
@@ -181,6 +183,27 @@ def origin(document: Document) -> tuple[tuple[str, str], ...]:
 
 def _bracketed(value: str, bounds: str) -> str:
     return value if NOT_AVAILABLE in (value, bounds) else f"{value} ({bounds})"
+
+
+def matrix_rows(name: str, value: Any) -> list[tuple[str, str]]:
+    """Return a 3 x 3 matrix row by row; one row that says so where there is none."""
+    lines = matrix(value, 3)
+    if lines is None:
+        return [(name, NOT_AVAILABLE)]
+    pairs = zip("xyz", lines, strict=False)
+    return [(f"{name} row {axis}", vector(line.tolist(), 9)) for axis, line in pairs]
+
+
+def summary_cells(row: Document) -> tuple[str, ...]:
+    """Return availability, matched star ratio and RMS, before and after: Enright's Table IV."""
+    availability, errors = section(row, "availability"), section(row, "common_pair_rms_urad")
+    return (
+        fixed(availability.get("baseline")),
+        fixed(availability.get("candidate")),
+        fixed(row.get("matched_star_ratio")),
+        rms(errors.get("baseline")),
+        rms(errors.get("candidate")),
+    )
 
 
 def quotient(above: Any, below: Any) -> float | None:

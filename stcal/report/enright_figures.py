@@ -12,7 +12,15 @@ import numpy as np
 from stcal.report.document import Document, Floats, columns, section
 from stcal.report.enright_document import FILTERS
 from stcal.report.format import fixed
-from stcal.report.svg import AFTER, BEFORE, FAINT, NEUTRAL, draw, start_axes
+from stcal.report.svg import (
+    AFTER,
+    BEFORE,
+    FAINT,
+    NEUTRAL,
+    draw,
+    plain_numbers,
+    start_axes,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -117,7 +125,7 @@ def _error_panel(figure: Figure, series: dict[str, tuple[Floats, Floats, float]]
         axes.axhline(aggregate, label=label, **level)
         lowest += [aggregate, float(tail.min())]
     axes.set_xscale("log")
-    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    plain_numbers(axes.xaxis)
     axes.set_ylim(0.99 * min(lowest), _ERROR_RANGE * min(lowest))
     _legend(axes)
 
@@ -167,12 +175,11 @@ def _settling_panels(figure: Figure, frame: Floats, share: Floats, error: Floats
     for axes, values in ((left, share), (right, error)):
         axes.plot(frame, values, "o-", color=AFTER, ms=3.5)
         axes.set_xscale("symlog", linthresh=1.0)
-        axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        plain_numbers(axes.xaxis)
         axes.margins(y=0.1)
     if error.min() > 0.0:
         right.set_yscale("log")
-        right.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-        right.yaxis.set_minor_formatter(lambda value, _: "")
+        plain_numbers(right.yaxis)
 
 
 def _legend(axes: Axes, place: Any = "upper right") -> None:

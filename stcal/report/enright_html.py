@@ -7,8 +7,8 @@ from stcal.report import enright_content as content
 from stcal.report import enright_figures as figures
 from stcal.report.document import Document
 from stcal.report.enright_document import sensor_name, shown_sensor
-from stcal.report.layout import Part, Picture, page
-from stcal.report.study_content import findings, summary
+from stcal.report.layout import Part, Picture
+from stcal.report.study_page import study_page
 
 _HEADING = "Enright, Jovanović & Vaz 2018, repeated on simulated sensors"
 _LEAD = (
@@ -24,16 +24,11 @@ _LEAD = (
 
 def render(document: Document) -> str:
     """Return the HTML report of the study (schema ``stcal.study.enright/1``)."""
-    found = findings(document)
-    return page(
-        "study.html.j2",
-        heading=_HEADING,
-        lead=_LEAD,
-        summary=summary(found),
-        findings=found,
-        claim="Paper",
-        parts=[_tables(document), _figures(document), _basis(document)],
-        several=True,
+    return study_page(
+        document,
+        _HEADING,
+        _LEAD,
+        [_tables(document), _figures(document), _basis(document)],
     )
 
 

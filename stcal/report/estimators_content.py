@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
-from stcal.report.content import Table, origin
+from stcal.report.content import (
+    Table,
+    origin,
+    quotient,
+)
 from stcal.report.document import Document, number, numbers, section, sections, sequence, text
-from stcal.report.format import NOT_AVAILABLE, count, fixed, percent, significant, words
+from stcal.report.format import (
+    NOT_AVAILABLE,
+    count,
+    fixed,
+    percent,
+    share,
+    significant,
+    words,
+)
 
 KINDS = ("starts", "false_matches")
 _KB, _NOT_RUN = 1e3, "\N{EN DASH}"
@@ -41,7 +53,7 @@ def _recommended(row: Document, place: str) -> str:
         f"{place}, use {words(row.get('estimator'))} with {words(row.get('residual'))}: on the "
         f"worst camera its error is {fixed(row.get('over_efficient'))} times that of an efficient "
         f"estimate and its errors over sd {fixed(row.get('honesty'))} times, it takes "
-        f"{count(row.get('us_per_frame'))} µs a frame, and {share(number(row.get('robust')))} of "
+        f"{count(row.get('us_per_frame'))} µs a frame, and {share(row.get('robust'))} of "
         "the runs with bad starts or false matches end well."
     )
 
@@ -139,7 +151,7 @@ def _beside(document: Document, camera: Document) -> list[tuple[Document, list[s
     return [
         (
             item,
-            [share(number(v)) for kind in KINDS for v in sequence(section(row, kind).get("well"))],
+            [share(v) for kind in KINDS for v in sequence(section(row, kind).get("well"))],
         )
         for item, row in zip(found, sections(robust.get("combinations")), strict=False)
     ]
@@ -153,7 +165,7 @@ def _whole_row(camera: Document, item: Document, robust: list[str]) -> tuple[str
         _error(item),
         fixed(item.get("error_over_sd")),
         count(item.get("us_per_frame")),
-        _kilobytes(item.get("kept_bytes")),
+        count(quotient(item.get("kept_bytes"), _KB)),
         *robust,
     )
 
@@ -174,16 +186,6 @@ def _error(item: Document) -> str:
     refused = number(item.get("refused"))
     shown = fixed(item.get("over_bound"))
     return f"{shown} ({count(refused)})" if refused else shown
-
-
-def _kilobytes(value: object) -> str:
-    found = number(value)
-    return NOT_AVAILABLE if found is None else count(found / _KB)
-
-
-def share(value: float | None) -> str:
-    """Return a share as a percentage, a whole one without decimals."""
-    return NOT_AVAILABLE if value is None else percent(value).replace(".0 %", " %")
 
 
 def summary_table(document: Document) -> Table:
@@ -220,6 +222,19 @@ def rule(document: Document) -> str:
     )
 
 
+def camera_rows(document: Document) -> list[tuple[str, str]]:
+    """Each camera by name, with its stars and its bound."""
+    return [
+        (
+            f"{words(camera.get('camera'))}, {words(camera.get('name'))}",
+            f"{fixed(camera.get('stars'), 1)} stars an exposure; bound "
+            f"{fixed(camera.get('bound_urad'), 1)} µrad, the camera on board errs by "
+            f"{fixed(camera.get('initial_over_bound'), 0)} times that",
+        )
+        for camera in sensors(document)
+    ]
+
+
 def settings_table(document: Document) -> Table:
     """What the numbers depend on."""
     rows: list[tuple[str, ...]] = [
@@ -229,14 +244,6 @@ def settings_table(document: Document) -> Table:
         ("Frames of a run", count(document.get("frames"))),
         ("Seed", count(document.get("seed"))),
     ]  # fmt: skip
-    for camera in sensors(document):
-        rows.append(
-            (
-                f"{words(camera.get('camera'))}, {words(camera.get('name'))}",
-                f"{fixed(camera.get('stars'), 1)} stars an exposure; bound "
-                f"{fixed(camera.get('bound_urad'), 1)} µrad, the camera on board errs by "
-                f"{fixed(camera.get('initial_over_bound'), 0)} times that",
-            )
-        )
+    rows += camera_rows(document)
     rows.append(("Machine", words(document.get("machine"))))
     return Table("The study", ("", ""), (*rows, *origin(document)), numeric=False)

@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from stcal.report.document import Document, Floats, number, numbers, section, sections, text
-from stcal.report.estimators_content import combination_of, sensors, share
-from stcal.report.format import significant
-from stcal.report.svg import AFTER, BEFORE, NEUTRAL, draw, start_axes
+from stcal.report.estimators_content import combination_of, sensors
+from stcal.report.format import share, significant
+from stcal.report.svg import (
+    AFTER,
+    BEFORE,
+    NEUTRAL,
+    draw,
+    plain_numbers,
+    start_axes,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+# residual, estimator, time, error
+Point = tuple[str, str, float, float]
 # Okabe and Ito's palette: colours are residuals, markers estimators.
 _COLOURS = (AFTER, "#009E73", BEFORE, "#CC79A7")
 _MARKERS = ("s", "^", "o", "v", "D")
@@ -22,14 +32,14 @@ _MARKERS = ("s", "^", "o", "v", "D")
 
 def accuracy_and_time(document: Document, name: str) -> str | None:
     """Error over the bound against time per frame, a panel for each camera."""
-    cameras = [camera for camera in sensors(document) if _points(camera)]
-    if not cameras:
+    found = [(camera, points) for camera in sensors(document) if (points := _points(camera))]
+    if not found:
         return None
     title = "Error over the bound against time per frame"
-    return draw(name, title, (9.6, 3.9), lambda f: _accuracy_panels(f, cameras))
+    return draw(name, title, (9.6, 3.9), lambda f: _accuracy_panels(f, found))
 
 
-def _points(camera: Document) -> list[tuple[str, str, float, float]]:
+def _points(camera: Document) -> list[Point]:
     """Return (residual, estimator, time, error) of the combinations that have both."""
     found = []
     for row in sections(camera.get("combinations")):
@@ -39,16 +49,18 @@ def _points(camera: Document) -> list[tuple[str, str, float, float]]:
     return found
 
 
-def _accuracy_panels(figure: Figure, cameras: list[Document]) -> None:
-    panels = figure.subplots(1, len(cameras), squeeze=False)[0]
-    residuals, estimators = ([], [])  # type: ignore[var-annotated]
-    for axes, camera in zip(panels, cameras, strict=True):
+def _accuracy_panels(figure: Figure, found: Sequence[tuple[Document, list[Point]]]) -> None:
+    panels = figure.subplots(1, len(found), squeeze=False)[0]
+    # In the order in which they first occur.
+    residuals, estimators = (
+        list(dict.fromkeys(str(point[k]) for _, points in found for point in points))
+        for k in (0, 1)
+    )
+    for axes, (camera, points) in zip(panels, found, strict=True):
         first = axes is panels[0]
         start_axes(axes, text(camera.get("camera")), "µs a frame", "error / bound" * first)
         axes.set_xscale("log")
-        residuals = _ordered([p[0] for p in _points(camera)], residuals)
-        estimators = _ordered([p[1] for p in _points(camera)], estimators)
-        for residual, estimator, seconds, error in _points(camera):
+        for residual, estimator, seconds, error in points:
             axes.plot(seconds, error, **_style(residual, estimator, residuals, estimators))
         efficient = number(camera.get("efficient_over_bound"))
         if efficient is not None:
@@ -60,10 +72,6 @@ def _accuracy_panels(figure: Figure, cameras: list[Document]) -> None:
     )  # fmt: skip
 
 
-def _ordered(names: list[str], known: list[str]) -> list[str]:
-    return list(dict.fromkeys([*known, *names]))
-
-
 def _style(
     residual: str, estimator: str, residuals: list[str], estimators: list[str]
 ) -> dict[str, Any]:
@@ -73,11 +81,10 @@ def _style(
 
 
 def _plain_ticks(axes: Axes) -> None:
-    from matplotlib.ticker import LogLocator, NullFormatter
+    from matplotlib.ticker import LogLocator
 
     axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    axes.xaxis.set_minor_formatter(NullFormatter())
+    plain_numbers(axes.xaxis)
 
 
 def _handles(residuals: list[str], estimators: list[str]) -> list[Any]:

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 from stcal.report import estimators_content as content
 from stcal.report import estimators_figures as figures
 from stcal.report.document import Document
-from stcal.report.layout import Part, Picture, page
-from stcal.report.study_content import finding_table, findings, summary
+from stcal.report.layout import Part, Picture
+from stcal.report.study_content import finding_table
+from stcal.report.study_page import study_page
 from stcal.report.terminal import print_table
 
 if TYPE_CHECKING:
@@ -24,16 +25,13 @@ ROBUSTNESS_CAPTION = "Runs that end well, in percent, by combination and conditi
 
 def render(document: Document) -> str:
     """Return the HTML report of the study (schema ``stcal.study.estimators/1``)."""
-    found = findings(document)
-    return page(
-        "study.html.j2",
-        heading=HEADING,
-        lead=tuple(content.answer(document)),
-        summary=summary(found, "expectations"),
-        findings=found,
+    return study_page(
+        document,
+        HEADING,
+        tuple(content.answer(document)),
+        [_decision(document), _plots(document), _whole(document)],
         claim="Expected",
-        parts=[_decision(document), _plots(document), _whole(document)],
-        several=True,
+        claims="expectations",
     )
 
 

@@ -11,7 +11,12 @@ from stcal.report import estimators_figures as figures
 from stcal.report.content import Table
 from stcal.report.document import Document, section
 from stcal.report.estimators_html import ACCURACY_CAPTION, HEADING, ROBUSTNESS_CAPTION
-from stcal.report.format import count, significant, words
+from stcal.report.format import (
+    count,
+    share,
+    significant,
+    words,
+)
 
 PLOTS = {
     "accuracy": "Error over the bound against time per frame",
@@ -67,10 +72,9 @@ def _measured(document: Document) -> list[str]:
     """Return how the figures came about."""
     robust = section(document, "robustness")
     starts = ", ".join(significant(v, 3) for v in content.conditions(document, "start_sigma"))
-    shares = ", ".join(content.share(v) for v in content.conditions(document, "false_shares"))
+    shares = ", ".join(share(v) for v in content.conditions(document, "false_shares"))
     cameras = "\n".join(
-        f"- {_escaped(name)}: {_escaped(facts)}."
-        for name, facts in content.settings_table(document).rows[4:-3]
+        f"- {_escaped(name)}: {_escaped(facts)}." for name, facts in content.camera_rows(document)
     )
     return [
         f"Simulated telemetry, {count(document.get('runs'))} runs of "

@@ -14,6 +14,7 @@ from stcal.report.format import (
     interval,
     measured,
     percent,
+    share,
     significant,
     spread,
     words,
@@ -118,7 +119,7 @@ def temperature_table(found: Document) -> Table:
 
 
 def _innovation_rows(found: Document) -> tuple[tuple[str, str], ...]:
-    level = percent(found.get("confidence")).replace(".0 %", " %")
+    level = share(found.get("confidence"))
     nis = (found.get("per_arc"), found.get("scaled_per_arc"))
     return (
         ("Innovations", count(found.get("count"))),

@@ -7,6 +7,7 @@ from typing import Any
 from stcal.report.content import (
     Table,
     field_rms,
+    matrix_rows,
     origin,
     quotient,
     ratio_of,
@@ -14,7 +15,6 @@ from stcal.report.content import (
 )
 from stcal.report.document import (
     Document,
-    matrix,
     number,
     section,
     sections,
@@ -23,7 +23,6 @@ from stcal.report.document import (
 )
 from stcal.report.filter_content import is_sequential
 from stcal.report.format import (
-    NOT_AVAILABLE,
     count,
     fixed,
     measured,
@@ -144,20 +143,13 @@ def observability_table(document: Document) -> Table:
 def c_sd_table(document: Document) -> Table:
     """The alignment update."""
     update = section(document, "c_sd")
-    lines = matrix(update.get("matrix"), 3)
-    listed: tuple[tuple[str, str], ...] = (("C_SD", NOT_AVAILABLE),)
-    if lines is not None:
-        listed = tuple(
-            (f"C_SD row {axis}", vector(line.tolist(), 9))
-            for axis, line in zip("xyz", lines, strict=False)
-        )
     rows = (
         ("Offset removed, x y z", vector(update.get("offset_arcsec"), 2, "arcsec")),
         ("Spread over frames, x y z", spread_of(update.get("spread_arcsec"), 2)),
         ("sd of the mean", spread_of(update.get("sd_of_mean_arcsec"), 3)),
         ("Frames used", count(update.get("frames_used"))),
         ("Frames left out as outliers", count(update.get("frames_rejected"))),
-        *listed,
+        *matrix_rows("C_SD", update.get("matrix")),
     )
     return Table("Alignment update (C_SD)", ("", ""), rows, numeric=False)
 

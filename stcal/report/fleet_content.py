@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 
-from stcal.report.content import Table, Verdict
+from stcal.report.content import (
+    Table,
+    Verdict,
+    summary_cells,
+)
 from stcal.report.document import Document, section, sections, text
-from stcal.report.format import fixed, rms, words
+from stcal.report.format import fixed, words
 
 STATES = ("built", "refused", "failed", "interrupted")
 
@@ -47,15 +51,10 @@ def step_table(document: Document) -> Table:
 
 
 def _row(item: Document) -> tuple[str, ...]:
-    availability, errors = section(item, "availability"), section(item, "common_pair_rms_urad")
     return (
         words(item.get("sensor_id")),
         words(item.get("state")),
-        fixed(availability.get("baseline")),
-        fixed(availability.get("candidate")),
-        fixed(item.get("matched_star_ratio")),
-        rms(errors.get("baseline")),
-        rms(errors.get("candidate")),
+        *summary_cells(item),
         words(item.get("upload")),
     )
 

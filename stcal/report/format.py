@@ -46,6 +46,11 @@ def percent(value: Any) -> str:
     return fixed(None if found is None else 100.0 * found, 1, "%")
 
 
+def share(value: Any) -> str:
+    """A share as a percentage, a whole one without decimals."""
+    return percent(value).replace(".0 %", " %")
+
+
 def rms(value: Any) -> str:
     """Return an RMS in µrad: one decimal below 1000, none above."""
     found = number(value)

@@ -110,3 +110,12 @@ def _inline(svg: str, name: str, title: str, width_px: float) -> str:
         f'<svg viewBox="{view[1] if view else ""}" role="img" style="max-width:{width_px:.0f}px">'
     )
     return re.sub(r"<svg [^>]*>", lambda _: f"{head}<title>{escape(title)}</title>", body, count=1)
+
+
+def plain_numbers(axis: Any) -> None:
+    """Label the major ticks of a logarithmic axis with plain numbers, and no others.
+
+    Of a range within a decade, matplotlib labels minor ticks too, in its markup of formulas.
+    """
+    axis.set_major_formatter(lambda value, _: f"{value:g}")
+    axis.set_minor_formatter(lambda value, _: "")

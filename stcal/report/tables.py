@@ -16,9 +16,9 @@ from stcal.report import (
     tracking_content,
 )
 from stcal.report.content import Table, Verdict
-from stcal.report.document import Document, section
+from stcal.report.document import Document
 from stcal.report.filter_content import filter_tables, is_sequential
-from stcal.report.format import fixed, rms, words
+from stcal.report.format import words
 from stcal.report.terminal import (
     COLOURS,
     cell,
@@ -126,15 +126,7 @@ def summary_table(rows: Sequence[Mapping[str, Any]], console: Console) -> None:
         table.add_column(heading, justify="right")
     table.add_column("Verdict")
     for row in rows:
-        availability, errors = section(row, "availability"), section(row, "common_pair_rms_urad")
         word = Verdict("", row.get("accepted"), ()).word
-        cells = (
-            words(row.get("sensor_id")),
-            fixed(availability.get("baseline")),
-            fixed(availability.get("candidate")),
-            fixed(row.get("matched_star_ratio")),
-            rms(errors.get("baseline")),
-            rms(errors.get("candidate")),
-        )
+        cells = (words(row.get("sensor_id")), *content.summary_cells(row))
         table.add_row(*map(cell, cells), Text(word, style=COLOURS[word]))
     console.print(table)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from stcal.report import tracking_content as content
 from stcal.report import tracking_figures as figures
 from stcal.report.document import Document
-from stcal.report.layout import Part, Picture, page
-from stcal.report.study_content import findings, summary
+from stcal.report.layout import Part, Picture
+from stcal.report.study_page import study_page
 
 _HEADING = "Filters on cameras that change in flight"
 _LEAD = (
@@ -27,16 +27,13 @@ _ERRORS = (
 
 def render(document: Document) -> str:
     """Return the HTML report of the study (schema ``stcal.study.tracking/1``)."""
-    found = findings(document)
-    return page(
-        "study.html.j2",
-        heading=_HEADING,
-        lead=_LEAD,
-        summary=summary(found, "expectations"),
-        findings=found,
+    return study_page(
+        document,
+        _HEADING,
+        _LEAD,
+        [_drift(document), _step(document), _temperature(document), _basis(document)],
         claim="Expected",
-        parts=[_drift(document), _step(document), _temperature(document), _basis(document)],
-        several=True,
+        claims="expectations",
     )
 
 

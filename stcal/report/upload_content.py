@@ -5,7 +5,13 @@ from __future__ import annotations
 import json
 
 from stcal.report.content import Table, Verdict
-from stcal.report.document import Document, section, sequence, text
+from stcal.report.document import (
+    Document,
+    section,
+    sections,
+    sequence,
+    text,
+)
 from stcal.report.format import count, significant, words
 
 _FIGURES_LENGTH = 300
@@ -44,11 +50,11 @@ def figure_table(document: Document) -> Table:
 
 def field_table(document: Document) -> Table:
     """What the target holds, field by field."""
-    fields = sequence(section(document, "gates", "table", "figures").get("fields"))
+    fields = section(document, "gates", "table", "figures").get("fields")
     rows = tuple(
         (words(f.get("name")), words(f.get("holds")), significant(f.get("on_target"), 9),
          words(f.get("unit")), words(f.get("word")), significant(f.get("error"), 2))
-        for f in fields if isinstance(f, dict)
+        for f in sections(fields)
     )  # fmt: skip
     header = ("Field", "Holds", "On the target", "Unit", "Word", "Rounding")
     return Table("Table on the target", header, rows, "Rounding in SI or pixels.")

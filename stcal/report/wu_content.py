@@ -5,13 +5,20 @@ Ours are means over the runs, with the sd over the runs; beside them what the da
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from stcal.report.content import Table
-from stcal.report.document import Document, Floats, number, numbers, section
-from stcal.report.format import NOT_AVAILABLE, count, fixed, significant, words
+from stcal.report.document import Document, Floats, numbers, section
+from stcal.report.format import (
+    NOT_AVAILABLE,
+    count,
+    fixed,
+    rms,
+    significant,
+    words,
+)
 from stcal.units import unit_of
 
 AD, SVD = "ad", "svd"
@@ -34,7 +41,6 @@ _ERROR_DECIMALS = {"aspect": 4, "f_m": 4, "u0_px": 3, "v0_px": 3, "k1": 3, "k2":
 
 # A column: its heading, the method's results here, and those published.
 Column = tuple[str, Document, Document]
-Cell = Callable[[Document], str]
 
 
 def model_table(document: Document) -> Table:
@@ -207,11 +213,6 @@ def _pair_of_rows(
 
 
 def _time_rows(columns: Sequence[Column]) -> list[tuple[str, ...]]:
-    paper = (_time(p.get("us_per_image")) for _, _, p in columns)
-    here = (_time(h.get("us_settled")) for _, h, _ in columns)
+    paper = (rms(p.get("us_per_image")) for _, _, p in columns)
+    here = (rms(h.get("us_settled")) for _, h, _ in columns)
     return [("Time [µs / image], paper", *paper), ("Time [µs / image], stcal", *here)]
-
-
-def _time(value: object) -> str:
-    found = number(value)
-    return fixed(found, 1 if found is None or found < 1000.0 else 0)

@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stcal.report.document import Document, Floats, numbers, section
-from stcal.report.svg import AFTER, BEFORE, NEUTRAL, draw, start_axes
+from stcal.report.svg import (
+    AFTER,
+    BEFORE,
+    NEUTRAL,
+    draw,
+    plain_numbers,
+    start_axes,
+)
 from stcal.report.wu_content import LABELS, TESTED
 
 if TYPE_CHECKING:
@@ -72,7 +79,7 @@ def _observability_panels(
             axes.plot(image, values, label=named, ls="none", ms=2.2, **styles[key])
         if series:
             axes.set_yscale("log")
-            axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+            plain_numbers(axes.yaxis)
             _legend(axes)
 
 
@@ -108,10 +115,10 @@ def _convergence_panels(
         if key == "a" and len(bound) == len(image):
             axes.plot(image, bound, label="bound", color=NEUTRAL, ls=":", lw=1.4)
         axes.set_xscale("log")
-        axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        plain_numbers(axes.xaxis)
         if curves and key == "a":
             axes.set_yscale("log")
-            axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+            plain_numbers(axes.yaxis)
         if curves:
             _legend(axes)
 

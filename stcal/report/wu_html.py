@@ -8,8 +8,9 @@ from stcal.report import wu_comparison_content as beyond
 from stcal.report import wu_content as content
 from stcal.report import wu_figures as figures
 from stcal.report.document import Document
-from stcal.report.layout import Part, Picture, page
-from stcal.report.study_content import finding_table, findings, summary
+from stcal.report.layout import Part, Picture
+from stcal.report.study_content import finding_table
+from stcal.report.study_page import study_page
 from stcal.report.terminal import only_columns, print_table
 
 if TYPE_CHECKING:
@@ -33,16 +34,12 @@ _TERMINAL_BOUND = ("Group", 'Bound ["]', "AD / efficient", "SVD / efficient")
 
 def render(document: Document) -> str:
     """Return the HTML report of the study (schema ``stcal.study.wu/1``)."""
-    found = findings(document)
-    return page(
-        "study.html.j2",
-        heading=_HEADING,
-        lead=_LEAD,
-        summary=summary(found, _STATEMENTS),
-        findings=found,
-        claim="Paper",
-        parts=[_comparison(document), _tables(document), _figures(document), _basis(document)],
-        several=True,
+    return study_page(
+        document,
+        _HEADING,
+        _LEAD,
+        [_comparison(document), _tables(document), _figures(document), _basis(document)],
+        claims=_STATEMENTS,
     )
 
 

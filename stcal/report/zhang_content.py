@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from stcal.report.content import Table, quotient
@@ -31,12 +29,7 @@ _CASES = {
 
 def value_of(group: Document, name: str, digits: int = 2) -> str:
     """Return one parameter's value of a group by name, in its shown unit."""
-    return significant(_in_unit(group.get(name), name), digits)
-
-
-def _in_unit(value: object, name: str) -> float | None:
-    found = number(value)
-    return None if found is None else found / unit_of(name).size
+    return significant(quotient(group.get(name), unit_of(name).size), digits)
 
 
 def error_table(document: Document) -> Table:
@@ -115,7 +108,7 @@ def convergence_table(document: Document) -> Table:
             for kind in ("averaged", "absolute")
         ]
         averages = [
-            fixed(_in_unit(group.get(name), name), _DECIMALS[name])
+            fixed(quotient(group.get(name), unit_of(name).size), _DECIMALS[name])
             for group in (published, section(filters, PAPER, "time_average"), true)
         ]
         rows.append((unit_of(name).label, *cells, *averages))
@@ -202,15 +195,15 @@ def noise_table(document: Document) -> Table:
 
 def low_frequency_table(document: Document) -> Table:
     """Errors with low-frequency noise beside those without."""
+    found = sections(document.get("low_frequency"))
     cases = [("white noise alone", section(document, "errors"))]
-    cases += [(_case(case), case) for case in sections(document.get("low_frequency"))]
-    rows: list[Sequence[str]] = []
+    cases += [(_case(case), case) for case in found]
+    rows: list[tuple[str, ...]] = []
     for label, case in cases:
         rows.append((f"{label}: RMS", *_row(case, OURS, "rms")))
         told = section(case, "filters", OURS, "consistency")
         rows.append((f"{label}: RMS / own sd", *(fixed(told.get(name)) for name in NAMES)))
     header = ("SQRF, arclengths, after 300 s", *(unit_of(name).label for name in NAMES))
-    found = sections(document.get("low_frequency"))
     noise = section(found[0], "noise") if found else {}
     note = (
         "First-order Gauss-Markov processes beside the white noise, with a time constant of "
@@ -218,7 +211,7 @@ def low_frequency_table(document: Document) -> Table:
         "distortion that is quadratic in the place (sd per axis, RMS over the detector). The "
         "filters know of the white noise alone."
     )
-    return Table("Noise of low frequency", header, tuple(map(tuple, rows)), note)
+    return Table("Noise of low frequency", header, tuple(rows), note)
 
 
 def _case(case: Document) -> str:

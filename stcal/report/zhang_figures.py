@@ -9,7 +9,15 @@ import numpy as np
 
 from stcal.report.document import Document, Floats, columns, number, numbers, section, sections
 from stcal.report.format import significant
-from stcal.report.svg import AFTER, BEFORE, FAINT, NEUTRAL, draw, start_axes
+from stcal.report.svg import (
+    AFTER,
+    BEFORE,
+    FAINT,
+    NEUTRAL,
+    draw,
+    plain_numbers,
+    start_axes,
+)
 from stcal.report.zhang_content import NAMES, OURS, PAPER, SHORT
 from stcal.units import unit_of
 
@@ -120,19 +128,14 @@ def _logarithmic(axes: Axes, lines: Lines, log_x: bool = False) -> None:
     if not lines:
         return
     axes.set_yscale("log")
-    _plain_numbers(axes.yaxis)
+    plain_numbers(axes.yaxis)
     # An averaged curve passes zero on its way.
     steady = [y.min() for label, (_, y, _) in lines.items() if "averaged" not in label]
     if steady:
         axes.set_ylim(bottom=0.5 * float(min(steady)))
     if log_x and all(float(x.min()) > 0.0 for x, _, _ in lines.values()):
         axes.set_xscale("log")
-        _plain_numbers(axes.xaxis)
-
-
-def _plain_numbers(axis: Any) -> None:
-    axis.set_major_formatter(lambda value, _: f"{value:g}")
-    axis.set_minor_formatter(lambda value, _: "")
+        plain_numbers(axes.xaxis)
 
 
 def mean_square(document: Document, name: str) -> str | None:

@@ -8,8 +8,9 @@ from stcal.report import zhang_content as content
 from stcal.report import zhang_figures as figures
 from stcal.report import zhang_mounting_content as mounting
 from stcal.report.document import Document
-from stcal.report.layout import Part, Picture, page
-from stcal.report.study_content import finding_table, findings, summary
+from stcal.report.layout import Part, Picture
+from stcal.report.study_content import finding_table
+from stcal.report.study_page import study_page
 from stcal.report.terminal import only_columns, print_table
 
 if TYPE_CHECKING:
@@ -32,16 +33,11 @@ _TERMINAL_COLUMNS = 5
 
 def render(document: Document) -> str:
     """Return the HTML report of the study (schema ``stcal.study.zhang/1``)."""
-    found = findings(document)
-    return page(
-        "study.html.j2",
-        heading=_HEADING,
-        lead=_LEAD,
-        summary=summary(found),
-        findings=found,
-        claim="Paper",
-        parts=[_first_stage(document), _noise(document), _second_stage(document), _basis(document)],
-        several=True,
+    return study_page(
+        document,
+        _HEADING,
+        _LEAD,
+        [_first_stage(document), _noise(document), _second_stage(document), _basis(document)],
     )
 
 

@@ -20,7 +20,7 @@ def mounting_table(document: Document) -> Table:
     printed = section(paper, "printed")
     rows = [
         ("Published", *_errors(section(paper, "alignment")), *[""] * 5),
-        ("Printed matrices", *_errors({**printed, "angle_deg": None})[:2], *[""] * 6),
+        ("Printed matrices", *_errors(printed)[:2], *[""] * 6),
     ]
     for camera, label in CAMERAS.items():
         for method in METHODS:

@@ -106,6 +106,15 @@ def _tangent(s, i, j, out, row, side):
 
 
 @kernel
+def count_pairs(offsets):
+    """Return how many pairs the exposures have, 2 N - 3 each."""
+    count = 0
+    for x in range(offsets.shape[0] - 1):
+        count += max(2 * (offsets[x + 1] - offsets[x]) - 3, 0)
+    return count
+
+
+@kernel
 def factor(offsets, s_i, order, sd, pair_i, pair_j, lower):
     """List the 2 N - 3 arcs of each exposure and factor their covariance.
 
@@ -201,9 +210,7 @@ def bind(offsets, s_i, sd, star_slope, reference, options):
     parameters = reference.shape[0]
     order = np.empty(s_i.shape[0], np.int64)
     order_stars(offsets, s_i, order)
-    count = 0
-    for x in range(offsets.shape[0] - 1):
-        count += max(2 * (offsets[x + 1] - offsets[x]) - 3, 0)
+    count = count_pairs(offsets)
     ints = np.empty(2 + 3 * count, np.int64)
     floats = np.zeros(count * (BAND + 2 + parameters) + parameters)
     ints[0] = count

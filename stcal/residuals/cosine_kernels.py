@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from stcal.jit import pointer
-from stcal.residuals.arclength_kernels import order_stars
+from stcal.residuals.arclength_kernels import count_pairs, order_stars
 from stcal.residuals.contract_kernels import BIND, ROWS, noise_change
 
 
@@ -23,9 +23,7 @@ def bind(offsets, s_i, sd, star_slope, reference, options):
     parameters = reference.shape[0]
     order = np.empty(s_i.shape[0], np.int64)
     order_stars(offsets, s_i, order)
-    count = 0
-    for x in range(offsets.shape[0] - 1):
-        count += max(2 * (offsets[x + 1] - offsets[x]) - 3, 0)
+    count = count_pairs(offsets)
     ints, floats = (
         np.zeros(2 + 2 * count, np.int64),
         np.empty(count * (2 + parameters) + parameters),

@@ -15,6 +15,7 @@ import numpy as np
 from stcal.jit import kernel, pointer
 from stcal.matching.seed_kernels import two_vector_attitude
 from stcal.matching.verify_kernels import refine_attitude, rotate, rotate_back
+from stcal.residuals.arclength_kernels import count_pairs
 from stcal.residuals.contract_kernels import BIND, ROWS, noise_change
 
 
@@ -160,8 +161,7 @@ def bind(offsets, s_i, sd, star_slope, reference, options):
     stars, parameters = s_i.shape[0], reference.shape[0]
     ints = np.zeros(2 + offsets.shape[0], np.int64)
     ints[2:] = offsets
-    for x in range(offsets.shape[0] - 1):
-        ints[0] += max(2 * (offsets[x + 1] - offsets[x]) - 3, 0)
+    ints[0] = count_pairs(offsets)
     floats = np.empty(stars * (4 + parameters) + parameters)
     kept, noise, slope, at = _tables(floats, stars, parameters)
     kept[:], noise[:], slope[:], at[:] = s_i, sd, star_slope, reference

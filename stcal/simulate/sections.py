@@ -6,9 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-from stcal.config import Magnitude
+from stcal.config import STRICT, Finite, Magnitude
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 # Far beyond any sensible value, and so small that no square or product of them overflows.
 Number = Annotated[float, Field(ge=-1e6, le=1e6)]
 Positive = Annotated[float, Field(ge=1e-6, le=1e6)]
@@ -40,9 +39,7 @@ Direction = Annotated[Vector, AfterValidator(_not_zero)]
 class Section(BaseModel):
     """One table of a scenario file: strict, and without unknown keys."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, strict=True, arbitrary_types_allowed=True
-    )
+    model_config = ConfigDict(**STRICT, arbitrary_types_allowed=True)
 
 
 class OrbitSection(Section):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
 from functools import partial
@@ -23,7 +22,7 @@ from stcal.simulate.scenario import PARTS, Scenario
 from stcal.simulate.sky import places, stars_in_cones
 from stcal.simulate.timeline import attitudes, tai_ns
 from stcal.simulate.true_camera import field_of_view
-from stcal.simulate.world import CHUNK_FRAMES, World, calibrations, make_world
+from stcal.simulate.world import CHUNK_FRAMES, World, calibrations, entropy_of, make_world
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -116,9 +115,7 @@ def body_attitudes(simulation: Simulation) -> tuple[Ints, Floats]:
     parts = [getattr(simulation, name) for name in PARTS]
     times = np.concatenate([part.frames.t_tai_ns for part in parts])
     q_si = np.concatenate([part.truth.q_si[::EXPOSURES_PER_FRAME] for part in parts])
-    # As world.make_world does for the parts, whose numbers are 0 and 1.
-    entropy = (simulation.seed, zlib.crc32(simulation.scenario.sensor_id.encode()), len(PARTS))
-    rng = np.random.default_rng(entropy)
+    rng = np.random.default_rng(entropy_of(simulation.scenario, simulation.seed, len(PARTS)))
     noise = rng.normal(0.0, mounting.body_attitude_sd_urad * URAD, (len(times), 3))
     c_bs = mounting_rotation(mounting)
     c_ib = Rotation.from_quat(q_si) * c_bs.inv() * Rotation.from_rotvec(noise)

@@ -60,12 +60,19 @@ def calibrations(scenario: Scenario) -> tuple[Calibration, Calibration]:
     )
 
 
+def entropy_of(scenario: Scenario, seed: int, number: int) -> tuple[int, int, int]:
+    """Return what seeds one stream of a simulation: the parts come first, the rest after them.
+
+    One seed for all sensors of a study still gives each sensor its own noise.
+    """
+    return seed, zlib.crc32(scenario.sensor_id.encode()), number
+
+
 def make_world(scenario: Scenario, part: str, seed: int) -> World:
     """Return what the chunks of a part share: timeline, sky, matcher."""
     initial, true = calibrations(scenario)
     orbit = orbit_from(scenario.orbit, scenario.epoch_tai_ns)
-    # One seed for all sensors of a study still gives each sensor and part its own noise.
-    entropy = (seed, zlib.crc32(scenario.sensor_id.encode()), PARTS.index(part))
+    entropy = entropy_of(scenario, seed, PARTS.index(part))
     layout = np.random.default_rng(np.random.SeedSequence(entropy, spawn_key=(0,)))
     config = scenario.sensor
     depth = min(scenario.detection.sky_magnitude, detector.faintest(scenario.detection))

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stcal.constants import DEG
-from stcal.estimators.misalignment import nearest_rotation
-from stcal.geometry.rotations import vector_from_matrix
+from stcal.geometry.rotations import nearest_rotation, vector_from_matrix
 from stcal.pipeline.numbers import numbers
 
 Floats = NDArray[np.float64]

@@ -6,9 +6,9 @@ import json
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
-from stcal.config import error_lines
+from stcal.config import STRICT, Finite, error_lines
 from stcal.errors import ConfigError
 from stcal.reading import read_toml
 from stcal.telemetry.columns import COLUMNS, STAR_COLUMNS, UNITS
@@ -37,11 +37,10 @@ _EXTENSIONS = {
 _DELIMITERS = {"tab": "\t", "comma": ",", "semicolon": ";"}
 
 Name = Annotated[str, Field(min_length=1)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    model_config = STRICT
 
 
 class ColumnMap(_Section):

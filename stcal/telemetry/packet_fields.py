@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
+from pydantic import BaseModel, Field, StringConstraints, model_validator
 
+from stcal.config import STRICT, Finite
 from stcal.telemetry.columns import FLAGS, FRAME_COLUMNS, OPTIONAL_COLUMNS, UNITS
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,39}$")]
 Order = Literal["big", "little"]
 
@@ -31,7 +31,7 @@ _TYPE = re.compile(r"(?P<kind>[uif])(?P<width>[1-9][0-9]?)")
 class Section(BaseModel):
     """A table of the file: no key too many, no number as text."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    model_config = STRICT
 
 
 class PacketField(Section):

@@ -19,8 +19,9 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, Field, model_validator
 
+from stcal.config import STRICT
 from stcal.frames import Bools, Ints
 from stcal.times import FIRST_UTC_NS, tai_from_utc_ns, utc_from_tai_ns
 
@@ -41,7 +42,7 @@ Raw = NDArray[np.uint64]
 class TimeCode(BaseModel):
     """The time code of the secondary header; its bytes come from the most significant on."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    model_config = STRICT
 
     code: Literal["CUC", "CDS"]
     epoch: str

@@ -46,8 +46,7 @@ def approve(folder: Path, name: str, time_utc: str) -> Approval:
 
 def _again(path: Path, approval: Approval) -> Approval:
     """Return the approval that is there when it is the same but for its time."""
-    found = read_json_object(path)
-    old = Approval(*(str(found.get(key)) for key in ("name", "time_utc", "manifest_sha256")))
+    old = _read(path)
     if (old.name, old.manifest_sha256) != (approval.name, approval.manifest_sha256):
         raise GateRefusalError(
             f"{path}: approved by {old.name} at {old.time_utc}, manifest {old.manifest_sha256}; "
@@ -56,11 +55,15 @@ def _again(path: Path, approval: Approval) -> Approval:
     return old
 
 
+def _read(path: Path) -> Approval:
+    found = read_json_object(path)
+    return Approval(*(str(found.get(key)) for key in ("name", "time_utc", "manifest_sha256")))
+
+
 def approval_of(folder: Path) -> Approval | None:
     """Return the approval of an upload, None when there is none or it is of another manifest."""
     path = folder / APPROVAL
     if not path.exists():
         return None
-    found = read_json_object(path)
-    approval = Approval(*(str(found.get(key)) for key in ("name", "time_utc", "manifest_sha256")))
+    approval = _read(path)
     return approval if approval.manifest_sha256 == sha256_of(folder / NAME) else None

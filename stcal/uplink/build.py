@@ -18,7 +18,7 @@ from stcal.config import SensorConfig
 from stcal.errors import GateRefusalError, InputError
 from stcal.uplink import decode, encode, manifest
 from stcal.uplink.gates import Candidate, Finding, judge, not_finite, refusals
-from stcal.uplink.held_out import is_number
+from stcal.uplink.held_out import at, is_number
 from stcal.uplink.tables import Checked, encode_checked
 from stcal.uplink.target import Target
 from stcal.uplink.verify import Difference, verify_dump
@@ -123,8 +123,7 @@ def _target_files(
     if evidence.target is None:
         return {}, None
     target, source = evidence.target
-    rms = new.quality.get("rms_urad")
-    fitted = rms.get("fitted") if isinstance(rms, Mapping) else None
+    fitted = at(new.quality, "rms_urad", "fitted")
     limit = float(fitted) if is_number(fitted) else None
     files, checked = encode_checked(new, target, limit)
     back, checked_back = encode_checked(old, target, limit)

@@ -12,6 +12,7 @@ from stcal.calibration import Calibration
 from stcal.cameras import Camera
 from stcal.constants import ARCSEC, URAD
 from stcal.errors import InputError
+from stcal.residuals.arclength import separations
 from stcal.units import unit_of
 from stcal.uplink.encode import standard_deviations
 
@@ -138,14 +139,7 @@ def _best_rotation(before: Floats, after: Floats) -> tuple[Floats, Floats]:
     from scipy.spatial.transform import Rotation
 
     rotation, _ = Rotation.align_vectors(after, before)
-    return np.asarray(rotation.as_rotvec()), angles(after, rotation.apply(before))
-
-
-def angles(a: Floats, b: Floats) -> Floats:
-    """Return (S,) rad between unit vectors (S, 3)."""
-    # 2 atan2(|a - b|, |a + b|): arccos loses small angles.
-    apart, along = np.linalg.norm(a - b, axis=1), np.linalg.norm(a + b, axis=1)
-    return np.asarray(2.0 * np.arctan2(apart, along))
+    return np.asarray(rotation.as_rotvec()), separations(after, rotation.apply(before))
 
 
 def detector_grid(camera: Camera) -> tuple[Floats, Floats]:

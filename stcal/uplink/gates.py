@@ -170,12 +170,11 @@ def fit_quality(candidate: Candidate) -> Finding:
     if candidate.config is None:
         return Finding(("no --store: the configuration's limits are not known",))
     quality, gates = candidate.calibration.quality, candidate.config.fit
-    condition = quality.get("condition")
     found = {
         "frames": quality.get("frames"),
         "stars": quality.get("stars_used"),
         "coverage": quality.get("coverage"),
-        "condition": condition.get("scaled") if isinstance(condition, Mapping) else None,
+        "condition": at(quality, "condition", "scaled"),
     }
     allowed = {
         "frames": gates.minimum_frames,
@@ -257,8 +256,7 @@ def validation(candidate: Candidate) -> Finding:
         reasons.append(f"validation is of sensor {document.get('sensor_id')!r}")
     expected = {"candidate": candidate.sha256, "baseline": candidate.parent_sha256}
     for which, sha256 in expected.items():
-        section = document.get(which)
-        found = section.get("sha256") if isinstance(section, Mapping) else None
+        found = at(document, which, "sha256")
         if found != sha256:
             reasons.append(f"validation {which}.sha256 is {found!r}, the file's is {sha256!r}")
     reasons += worse(document)
@@ -272,9 +270,8 @@ def held_out(candidate: Candidate) -> Finding:
     """The frames of the validation are not those of the fit."""
     if candidate.validation is None:
         return Finding(("no --validation: its frames cannot be told from those of the fit",))
-    fitted, span = candidate.calibration.provenance, candidate.validation.get("span")
-    judged = span if isinstance(span, Mapping) else {}
-    times = [s.get(key) for s in (fitted, judged) for key in ("from", "to")]
+    fitted, span = candidate.calibration.provenance, at(candidate.validation, "span")
+    times = [at(s, key) for s in (fitted, span) for key in ("from", "to")]
     figures = {"fit": times[:2], "validation": times[2:]}
     ns = [t for t in map(tai_ns, times) if t is not None]
     if len(ns) < len(times) or ns[0] > ns[1] or ns[2] > ns[3]:

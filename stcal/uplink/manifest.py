@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from stcal.calibration import sha256_of
 from stcal.errors import InputError
 from stcal.reading import read_json_object
 from stcal.uplink.gates import Candidate, Finding
@@ -95,7 +96,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         if not isinstance(facts, dict) or ".." in Path(name).parts or Path(name).is_absolute():
             raise InputError(f"{path}: the entry of {name!r} is damaged")
         try:
-            found = hashlib.sha256(file.read_bytes()).hexdigest()
+            found = sha256_of(file)
         except OSError as error:
             raise InputError(f"{file}: cannot be read: {error.strerror}") from None
         except ValueError:  # a NUL character

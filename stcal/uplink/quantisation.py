@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from stcal.calibration import Calibration
 from stcal.constants import URAD
-from stcal.uplink.compare import angles, detector_grid
+from stcal.residuals.arclength import separations
+from stcal.uplink.compare import detector_grid
 
 Floats = NDArray[np.float64]
 
@@ -77,7 +78,7 @@ def rounding_effect(calibration: Calibration, held: Calibration) -> RoundingEffe
     m, n = detector_grid(calibration.camera)
     with np.errstate(all="ignore"):  # a broken camera gives infinite angles below
         exact, rounded = (_star_vectors(c, m, n) for c in (calibration, held))
-        apart = angles(exact, rounded) / URAD
+        apart = separations(exact, rounded) / URAD
     apart = np.where(np.isfinite(apart), apart, np.inf)
     worst = int(np.argmax(apart))
     return RoundingEffect(

@@ -25,6 +25,12 @@ from stcal.uplink.formats.read_words import (
 from stcal.uplink.formats.read_yamcs import StackedCommand, number_of_argument, read_stack
 from stcal.uplink.quantities import quantities
 from stcal.uplink.target import TableField, Target
+from stcal.uplink.target_sections import (
+    CfeSection,
+    FprimeSection,
+    Openc3Section,
+    YamcsSection,
+)
 
 _KINDS = {"f": "FLOAT", "i": "INT", "u": "UINT"}
 
@@ -44,10 +50,11 @@ def read_back(
     """Decode every format that the target declares; never raises."""
     result = {}
     for name, reader in _READERS.items():
-        if getattr(target, name) is None:
+        section = getattr(target, name)
+        if section is None:
             continue
         try:
-            found = reader(files, calibration, target)
+            found = reader(section, files, calibration, target)
         except DecodeError as error:
             found = ReadBack([], problems=[str(error)])
         except KeyError as error:
@@ -78,9 +85,9 @@ def _nearest(found: Reading, value: Fraction) -> bool:
     return all(error < gap or (error == gap and found.even) for gap in gaps)
 
 
-def _cfe(files: Mapping[str, bytes], calibration: Calibration, target: Target) -> ReadBack:
-    section = target.cfe
-    assert section is not None
+def _cfe(
+    section: CfeSection, files: Mapping[str, bytes], calibration: Calibration, target: Target
+) -> ReadBack:
     image = read_image(files[section.file])
     seconds, subseconds = header_time(calibration, section)
     expected: dict[str, Any] = {
@@ -93,18 +100,18 @@ def _cfe(files: Mapping[str, bytes], calibration: Calibration, target: Target) -
     return ReadBack(numbers, {section.file: image.payload}, problems)
 
 
-def _fprime(files: Mapping[str, bytes], calibration: Calibration, target: Target) -> ReadBack:
-    section = target.fprime
-    assert section is not None
+def _fprime(
+    section: FprimeSection, files: Mapping[str, bytes], calibration: Calibration, target: Target
+) -> ReadBack:
     found = read_parameter(files[section.file], section.crc_prefix)
     facts = _facts("record", {"id": found.identifier}, {"id": section.parameter_id})
     numbers = read_numbers(found.value, target, packed=True)
     return ReadBack(numbers, {section.file: found.value}, list(facts))
 
 
-def _openc3(files: Mapping[str, bytes], calibration: Calibration, target: Target) -> ReadBack:
-    section = target.openc3
-    assert section is not None
+def _openc3(
+    section: Openc3Section, files: Mapping[str, bytes], calibration: Calibration, target: Target
+) -> ReadBack:
     binary = files[section.binary]
     definition = read_definition(files[section.definition])
     expected = {
@@ -172,9 +179,9 @@ def _limit(member: TableField, side: str) -> float | int | None:
     return ceil(counts) if side == "minimum" else floor(counts)
 
 
-def _yamcs(files: Mapping[str, bytes], calibration: Calibration, target: Target) -> ReadBack:
-    section = target.yamcs
-    assert section is not None
+def _yamcs(
+    section: YamcsSection, files: Mapping[str, bytes], calibration: Calibration, target: Target
+) -> ReadBack:
     stack = read_stack(files[section.file])
     problems: list[str] = []
     numbers: list[Reading] = []
@@ -231,7 +238,7 @@ def _facts(what: str, found: Mapping[str, Any], expected: Mapping[str, Any]) -> 
             yield f"{what}: {key} is {found[key]!r}, should be {value!r}"
 
 
-_Reader = Callable[[Mapping[str, bytes], Calibration, Target], ReadBack]
+_Reader = Callable[[Any, Mapping[str, bytes], Calibration, Target], ReadBack]
 _READERS: dict[str, _Reader] = {
     "cfe": _cfe,
     "fprime": _fprime,

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from math import isfinite
 from typing import Any
@@ -21,7 +21,8 @@ from stcal.uplink.read_back import ReadBack, read_back
 from stcal.uplink.target import Target
 from stcal.uplink.target_fields import si_unit
 
-ENCODERS: dict[str, Callable[[Calibration, Target], dict[str, bytes]]] = {
+# Each is handed the target's section of its name, where the target has one.
+ENCODERS: dict[str, Callable[[Any, Calibration, Target], dict[str, bytes]]] = {
     "cfe": cfe.encode,
     "fprime": fprime.encode,
     "openc3": openc3.encode,
@@ -62,8 +63,10 @@ def encode_all(calibration: Calibration, target: Target) -> dict[str, bytes]:
     if problems:
         raise EncodeError(problems)
     files: dict[str, bytes] = {}
-    for encode in ENCODERS.values():
-        files |= encode(calibration, target)
+    for name, encode in ENCODERS.items():
+        section = getattr(target, name)
+        if section is not None:
+            files |= encode(section, calibration, target)
     return files
 
 
@@ -96,9 +99,20 @@ def check_all(
         fresh = encode_all(calibration, target)
     except EncodeError as error:
         return Checked(error.reasons)
+    return _check(files, calibration, target, rms_urad, list(_file_differences(files, fresh)))
+
+
+def _check(
+    files: Mapping[str, bytes],
+    calibration: Calibration,
+    target: Target,
+    rms_urad: float | None,
+    differences: Sequence[str] = (),
+) -> Checked:
+    """Decode and judge files, whose ``differences`` from a fresh encoding are known."""
     found = read_back(files, calibration, target)
     reasons = [line for format_ in found.values() for line in format_.problems]
-    reasons += _file_differences(files, fresh)
+    reasons += differences
     numbers = next((f.numbers for f in found.values() if f.numbers), [])
     figures = _figures(found, numbers, calibration)
     if numbers:
@@ -119,7 +133,7 @@ def encode_checked(
         files = encode_all(calibration, target)
     except EncodeError as error:
         return {}, Checked(error.reasons)
-    return files, check_all(files, calibration, target, rms_urad)
+    return files, _check(files, calibration, target, rms_urad)
 
 
 def _file_differences(files: Mapping[str, bytes], fresh: Mapping[str, bytes]) -> Iterator[str]:
@@ -137,8 +151,9 @@ def _figures(
     found: Mapping[str, ReadBack], numbers: list[Reading], calibration: Calibration
 ) -> dict[str, Any]:
     payloads = {k: v for format_ in found.values() for k, v in format_.payloads.items()}
+    given = quantities(calibration)
     return {
-        "fields": [_field_figures(r, quantities(calibration)) for r in numbers],
+        "fields": [_field_figures(r, given) for r in numbers],
         "payload_bytes": {name: len(payload) for name, payload in payloads.items()},
         "crc16_arc": {name: shown(crc16_arc(payload)) for name, payload in payloads.items()},
     }

@@ -20,16 +20,15 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from stcal.cameras import CAMERAS
+from stcal.config import Finite, Positive
 from stcal.errors import ConfigError
 from stcal.reading import read_toml
 from stcal.uplink.target_fields import field_problems, whole_problems
 from stcal.uplink.target_sections import (
     Ascii,
     CfeSection,
-    Finite,
     FprimeSection,
     Openc3Section,
-    Positive,
     Section,
     YamcsSection,
 )

@@ -62,14 +62,20 @@ def _word_problems(field: TableField) -> Iterator[str]:
     elif field.value in _WHOLE_NUMBERS:
         if field.is_float or scaled or field.unit is not None or field.offset:
             yield f"{field.value} is a whole number: an integer word, no scale, unit or offset"
-        if field.constant is not None and not _fits(field.constant, field.word):
+        if field.constant is not None and not fits(field.constant, field.word):
             yield f"constant {field.constant} does not fit {field.word}"
     elif not field.is_float and not scaled:
         yield f"{field.value} in {field.word} needs scale or fraction_bits"
 
 
-def _fits(number: int, word: str) -> bool:
-    bits = int(re.sub(r"\D", "", word))
+def word_bits(word: str) -> int:
+    """Return the number of bits of a word such as ``uint16``."""
+    return int(re.sub(r"\D", "", word))
+
+
+def fits(number: int, word: str) -> bool:
+    """Whether an integer word can hold a number."""
+    bits = word_bits(word)
     lowest = 0 if word.startswith("uint") else -(1 << (bits - 1))
     return lowest <= number < lowest + (1 << bits)
 

@@ -8,16 +8,14 @@ from typing import Annotated, Literal
 from pydantic import (
     AfterValidator,
     BaseModel,
-    ConfigDict,
     Field,
     field_validator,
     model_validator,
 )
 
+from stcal.config import STRICT, Finite
 from stcal.times import parse_utc
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 U32 = Annotated[int, Field(ge=0, lt=2**32)]
 
 
@@ -46,8 +44,7 @@ FileName = Annotated[str, Field(max_length=100), AfterValidator(_file_name)]
 class Section(BaseModel):
     """A part of the file: nothing unknown in it, every type as declared."""
 
-    # Strict: a number written as text is a mistake; integers still pass for floats.
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    model_config = STRICT
 
 
 class CfeSection(Section):

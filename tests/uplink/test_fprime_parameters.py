@@ -21,6 +21,11 @@ from stcal.uplink.formats.read_fprime import read_parameter
 from stcal.uplink.formats.read_words import read_numbers
 from stcal.uplink.tables import encode_all
 
+
+def encoded(calibration, target):
+    return encode(target.fprime, calibration, target)
+
+
 NAME = "st16_cal.dat"
 COUNTER = itertools.count()
 WORDS = {"float": "F", "int": "I", "uint": "U"}
@@ -96,7 +101,7 @@ def test_fprime_gds_reads_the_numbers(
     next(f for f in document["field"] if f["name"] == "alignment")["order"] = order
     (tmp_path / "dictionary.json").write_text(json.dumps(dictionary(document)))
     fitted = calibration()
-    (tmp_path / NAME).write_bytes(encode(fitted, as_target(document))[NAME])
+    (tmp_path / NAME).write_bytes(encoded(fitted, as_target(document))[NAME])
     files = [str(tmp_path / name) for name in (NAME, "dictionary.json", "out.json")]
     run_tool("fprime-prm-decode", [files[0], "-d", files[1], "-o", files[2]], monkeypatch)
     found = json.loads((tmp_path / "out.json").read_text())["Test.st"]["CALIBRATION"]
@@ -115,7 +120,7 @@ def test_fprime_gds_reads_the_numbers(
 def test_fprime_gds_writes_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     document = example_document()
     (tmp_path / "dictionary.json").write_text(json.dumps(dictionary(document)))
-    content = encode(calibration(), example())[NAME]
+    content = encoded(calibration(), example())[NAME]
     (tmp_path / NAME).write_bytes(content)
     files = [str(tmp_path / name) for name in (NAME, "dictionary.json", "p.json", "again.dat")]
     run_tool("fprime-prm-decode", [files[0], "-d", files[1], "-o", files[2]], monkeypatch)
@@ -129,7 +134,7 @@ def test_fprime_gds_agrees_on_any_target(fitted: Calibration, document: Any) -> 
     from fprime_gds.common.loaders.prm_json_loader import PrmJsonLoader
     from fprime_gds.common.tools import params
 
-    content = encode(fitted, as_target(document))[NAME]
+    content = encoded(fitted, as_target(document))[NAME]
     # The loader keeps structures by name as long as the process lives.
     name = f"St.Calibration{next(COUNTER)}"
     with tempfile.TemporaryDirectory() as folder:
@@ -148,8 +153,8 @@ def test_golden_file() -> None:
 def test_without_the_crc() -> None:
     document = example_document()
     document["fprime"]["crc_prefix"] = False
-    content = encode(calibration(), as_target(document))[NAME]
-    assert content == encode(calibration(), example())[NAME][4:]
+    content = encoded(calibration(), as_target(document))[NAME]
+    assert content == encoded(calibration(), example())[NAME][4:]
     assert read_parameter(content, crc_prefix=False).identifier == 0x1235
     with pytest.raises(DecodeError, match="CRC is 0xa5"):
         read_parameter(content, crc_prefix=True)
@@ -175,7 +180,7 @@ def test_the_reader_refuses() -> None:
 
 
 def test_numbers_are_packed_and_big_endian() -> None:
-    content = encode(calibration(), example())[NAME]
+    content = encoded(calibration(), example())[NAME]
     value = read_parameter(content, crc_prefix=True).value
     assert value[:14] == struct.pack(">HId", 3, 7, FOCAL_MM)
     numbers = read_numbers(value, example(), packed=True)

@@ -8,13 +8,18 @@ from stcal.uplink.formats.openc3 import encode
 from stcal.uplink.formats.read_openc3 import Item, read_definition
 from stcal.uplink.tables import check_all, encode_all
 
+
+def encoded(calibration, target):
+    return encode(target.openc3, calibration, target)
+
+
 DEFINITION, BINARY = "ST16_CAL_def.txt", "ST16_CAL.bin"
 # Table Manager of the openc3 package, 7.4.1, generates the golden binary of this definition.
 GOLDEN_DEFINITION = (GOLDEN / DEFINITION).read_bytes()
 
 
 def test_golden_files() -> None:
-    files = encode(calibration(), example())
+    files = encoded(calibration(), example())
     assert files[DEFINITION] == GOLDEN_DEFINITION
     assert files[BINARY] == (GOLDEN / BINARY).read_bytes()
 
@@ -49,7 +54,7 @@ def test_offset_and_decimal_scale_are_told() -> None:
     row |= {"scale": 0.001, "offset": 1.0, "minimum": 672.0004, "maximum": 1272.0006}
     target = as_target(document)
     item = next(
-        i for i in read_definition(encode(calibration(), target)[DEFINITION]).items
+        i for i in read_definition(encoded(calibration(), target)[DEFINITION]).items
         if i.name == "ROW_0"
     )  # fmt: skip
     assert item.description == "m0_px + 1.0 px in counts of 0.001 px"

@@ -11,11 +11,16 @@ from stcal.uplink.formats.read_yamcs import number_of_argument, read_stack
 from stcal.uplink.formats.yamcs import encode
 from stcal.uplink.tables import check_all, encode_all
 
+
+def encoded(calibration, target):
+    return encode(target.yamcs, calibration, target)
+
+
 NAME = "st16_cal.ycs"
 
 
 def test_golden_file() -> None:
-    assert encode(calibration(), example())[NAME] == (GOLDEN / NAME).read_bytes()
+    assert encoded(calibration(), example())[NAME] == (GOLDEN / NAME).read_bytes()
 
 
 def test_what_the_stack_says() -> None:

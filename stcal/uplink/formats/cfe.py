@@ -24,11 +24,8 @@ _CONTENT_TYPE = 0x63464531  # "cFE1"
 _TABLE_IMAGE = 8
 
 
-def encode(calibration: Calibration, target: Target) -> dict[str, bytes]:
+def encode(section: CfeSection, calibration: Calibration, target: Target) -> dict[str, bytes]:
     """Return the table image by its file name."""
-    section = target.cfe
-    if section is None:
-        return {}
     payload = structure(calibration, target)
     seconds, subseconds = header_time(calibration, section)
     header = _FILE_HEADER.pack(

@@ -12,16 +12,14 @@ import zlib
 from stcal.calibration import Calibration
 from stcal.uplink.formats.payload import serialised
 from stcal.uplink.target import Target
+from stcal.uplink.target_sections import FprimeSection
 
 _DELIMITER = 0xA5
 _ID_SIZE = 4
 
 
-def encode(calibration: Calibration, target: Target) -> dict[str, bytes]:
+def encode(section: FprimeSection, calibration: Calibration, target: Target) -> dict[str, bytes]:
     """Return the parameter file by its name."""
-    section = target.fprime
-    if section is None:
-        return {}
     content = record(section.parameter_id, serialised(calibration, target))
     if section.crc_prefix:
         content = struct.pack(">I", prefix(content)) + content

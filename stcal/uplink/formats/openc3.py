@@ -13,17 +13,14 @@ from stcal.calibration import Calibration
 from stcal.uplink.formats.payload import structure
 from stcal.uplink.formats.words import Slot, layout, scale, unit, words
 from stcal.uplink.target import Target
+from stcal.uplink.target_fields import word_bits
 from stcal.uplink.target_sections import Openc3Section
 
-_BITS = {"8": 8, "16": 16, "32": 32, "64": 64}
 _TYPES = {"float": "FLOAT", "int": "INT", "uint": "UINT"}
 
 
-def encode(calibration: Calibration, target: Target) -> dict[str, bytes]:
+def encode(section: Openc3Section, calibration: Calibration, target: Target) -> dict[str, bytes]:
     """Return the definition and the binary by their file names."""
-    section = target.openc3
-    if section is None:
-        return {}
     lines = [*_head(section, calibration, target), *_items(calibration, target)]
     definition = "\n".join(lines) + "\n"
     return {
@@ -47,7 +44,7 @@ def _items(calibration: Calibration, target: Target) -> Iterator[str]:
     for slot in slots:
         yield from _padding(end, slot.offset)
         yield from _item(slot, numbers[slot.label])
-        end = slot.offset + _bits(slot) // 8
+        end = slot.offset + word_bits(slot.field.word) // 8
     yield from _padding(end, size)
 
 
@@ -62,16 +59,12 @@ def _item(slot: Slot, number: float | int) -> Iterator[str]:
     field = slot.field
     kind = _TYPES[field.word.rstrip("0123456789")]
     lowest, highest = _limits(slot)
-    name, text = slot.label.upper(), _description(slot)
-    yield f'  APPEND_PARAMETER "{name}" {_bits(slot)} {kind} {lowest} {highest} {number!r} "{text}"'
+    name, bits, text = slot.label.upper(), word_bits(field.word), _description(slot)
+    yield f'  APPEND_PARAMETER "{name}" {bits} {kind} {lowest} {highest} {number!r} "{text}"'
     if field.value == "constant":
         yield "    UNEDITABLE"
     elif field.is_float and unit(field) != "1":
         yield f'    UNITS "{unit(field)}" "{unit(field)}"'
-
-
-def _bits(slot: Slot) -> int:
-    return _BITS[slot.field.word.lstrip("floatuin")]
 
 
 def _limits(slot: Slot) -> tuple[str, str]:

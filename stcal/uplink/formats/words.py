@@ -6,7 +6,6 @@ Arithmetic is exact (fractions) up to the one rounding into the word.
 from __future__ import annotations
 
 import math
-import re
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ from stcal.calibration import Calibration
 from stcal.errors import InputError
 from stcal.uplink.quantities import quantities
 from stcal.uplink.target import TableField, Target
-from stcal.uplink.target_fields import si_unit
+from stcal.uplink.target_fields import ALIGNMENTS, fits, si_unit
 
 CODES = {"float32": "f", "float64": "d", "int8": "b", "int16": "h", "int32": "i", "int64": "q",
          "uint8": "B", "uint16": "H", "uint32": "I", "uint64": "Q"}  # fmt: skip
@@ -33,7 +32,6 @@ _ORDERS = {
     "xyzw": tuple("xyzw"),
     "wxyz": tuple("wxyz"),
 }
-_USUAL_ORDER = {"c_sd": "row", "q_sd": "xyzw", "q_ds": "xyzw"}
 
 
 class EncodeError(InputError):
@@ -88,8 +86,8 @@ def _elements(field: TableField) -> Iterator[tuple[str, str | None]]:
     """Yield the label and the quantity of each element of a field."""
     if field.value == "constant":
         yield field.name, None
-    elif field.value in _USUAL_ORDER:
-        for element in _ORDERS[field.order or _USUAL_ORDER[field.value]]:
+    elif field.value in ALIGNMENTS:
+        for element in _ORDERS[field.order or ALIGNMENTS[field.value][0]]:
             yield f"{field.name}_{element}", f"{field.value}_{element}"
     else:
         yield field.name, field.value
@@ -172,10 +170,7 @@ def _word(slot: Slot, numbers: dict[str, float | int]) -> float | int:
     if field.word == "float32":
         return _float32(number)
     counts = round(number / scale(field))
-    bits = int(re.sub(r"\D", "", field.word))
-    signed = field.word.startswith("int")
-    lowest, highest = (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if signed else (0, 2**bits - 1)
-    if not lowest <= counts <= highest:
+    if not fits(counts, field.word):
         raise OverflowError
     return counts
 

@@ -8,29 +8,30 @@ from typing import Any
 from stcal.calibration import Calibration
 from stcal.uplink.formats.words import layout, words
 from stcal.uplink.target import Target
-from stcal.uplink.target_sections import YamcsCommand
+from stcal.uplink.target_sections import YamcsCommand, YamcsSection
 
 _SCHEMA = "https://yamcs.org/schema/command-stack.schema.json"
 # Yamcs web reads numbers as doubles.
 _EXACT = 2**53
 
 
-def encode(calibration: Calibration, target: Target) -> dict[str, bytes]:
+def encode(section: YamcsSection, calibration: Calibration, target: Target) -> dict[str, bytes]:
     """Return the command stack by its file name."""
-    section = target.yamcs
-    if section is None:
-        return {}
-    commands = [_command(command, calibration, target) for command in section.commands]
+    commands = [
+        _command(command, section.instance, calibration, target) for command in section.commands
+    ]
     stack = {"$schema": _SCHEMA, "commands": commands}
     return {section.file: (json.dumps(stack, indent=2, allow_nan=False) + "\n").encode("ascii")}
 
 
-def _command(command: YamcsCommand, calibration: Calibration, target: Target) -> dict[str, Any]:
+def _command(
+    command: YamcsCommand, instance: str, calibration: Calibration, target: Target
+) -> dict[str, Any]:
     arguments = [{"name": k, "value": v} for k, v in command.arguments.items()]
     comment = command.comment
     if command.calibration:
         arguments += _arguments(command, calibration, target)
-        comment = _comment(command, calibration, target)
+        comment = _comment(command, instance, calibration)
     advancement = {"acknowledgment": command.acknowledgment, "wait": command.wait_ms}
     advancement = {k: v for k, v in advancement.items() if v is not None}
     return {
@@ -57,8 +58,7 @@ def _arguments(
     return [{"name": command.argument, "value": members}]
 
 
-def _comment(command: YamcsCommand, calibration: Calibration, target: Target) -> str:
-    instance = target.yamcs.instance if target.yamcs else ""
+def _comment(command: YamcsCommand, instance: str, calibration: Calibration) -> str:
     what = f"{calibration.sensor_id} serial {calibration.serial}, instance {instance}"
     return f"{what}: {command.comment}" if command.comment else what
 
