@@ -28,6 +28,11 @@ Ints = NDArray[np.int64]
 _J2000_JD = 2_451_545.0
 _DAYS_PER_YEAR = 365.25
 _HOUR_NS = 3_600_000_000_000
+# Schwarzschild radius of the Sun in au: 2 * 1.32712440041e20 / (c^2 au) (SOFA's SRS).
+_SUN_SCHWARZSCHILD_AU = 1.97412574336e-8
+# Smallest q.(q + e) of the deflection formula: inside about 0.08 deg of the Sun's centre the
+# deflection is held down instead of growing without limit (SOFA's ldsun).
+_DEFLECTION_LIMIT = 1e-6
 _AU_PER_DAY_IN_C = AU_M / DAY_S / SPEED_OF_LIGHT_M_S
 
 
@@ -50,9 +55,22 @@ class Observer:
 
     @cached_property
     def rows(self) -> Floats:
-        """(F, 10) C-contiguous [years, position_au, sun_au, beta], for the kernels."""
-        columns = (self.years[:, None], self.position_au, self.sun_au, self.beta)
-        return np.ascontiguousarray(np.hstack(columns), dtype=np.float64)
+        """(F, 13) C-contiguous, for the kernels.
+
+        Columns: years; position_au (3); unit vector from the Sun to the observer (3); beta (3);
+        sqrt(1 - beta^2); strength of the Sun's deflection; floor of its denominator.
+        """
+        sun_au = np.linalg.norm(self.sun_au, axis=1)
+        columns = (
+            self.years,
+            *self.position_au.T,
+            *(self.sun_au / sun_au[:, None]).T,
+            *self.beta.T,
+            np.sqrt(1.0 - np.sum(self.beta**2, axis=1)),
+            _SUN_SCHWARZSCHILD_AU / sun_au,
+            _DEFLECTION_LIMIT / np.maximum(sun_au**2, 1.0),
+        )
+        return np.stack(columns, axis=1, dtype=np.float64)
 
 
 def observer_at(t_tai_ns: Ints, pos_km: Floats, vel_km_s: Floats) -> Observer:

@@ -210,11 +210,15 @@ def kernel_input(
     """Return what the kernels need for exposures ``first`` to ``last``: sky, rules, scratch."""
     pair_tolerance, limit = rules.pair_tolerance_urad * URAD, rules.pair_limit_deg * DEG
     tolerance = rules.star_tolerance_urad * URAD
-    pairs = len(index.pair_angle)
+    pairs = len(index.pair)
     sky = kernels.Sky(
-        index.direction, index.motion, index.parallax, index.epoch_direction,
-        index.pair_angle, index.pair_a, index.pair_b, index.pair_start, index.pair_bin_rad, limit,
-        index.cell_start, index.cell_star, index.cells, index.radius_rad,
+        kernels.StarMap(
+            index.star, index.direction, index.cell_start, index.cell_star, index.cells,
+            index.radius_rad,
+        ),
+        kernels.PairTable(
+            index.pair_angle, index.pair, index.pair_start, index.pair_bin_rad, limit
+        ),
     )  # fmt: skip
     rule = kernels.Rule(
         pair_tolerance=pair_tolerance,
@@ -229,5 +233,5 @@ def kernel_input(
         false_alarm=rules.false_alarm,
     )
     largest = int(frames.stars_per_exposure[first:last].max(initial=1))
-    work = kernels.make_work(len(index.parallax), largest, pairs, rules.seed_stars)
+    work = kernels.make_work(len(index.star), largest, pairs, rules.seed_stars)
     return sky, rule, work

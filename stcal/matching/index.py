@@ -28,22 +28,20 @@ class SkyIndex:
 
     Attributes
     ----------
-    direction, motion, parallax : columns of the catalogue at J2000.0, for apparent places
-    epoch_direction : (C, 3) directions at the index's epoch
-    pair_angle, pair_a, pair_b : (P,) separation [rad] in rising order and the two stars
+    star : (C, 8) direction (3) and motion (3) of the catalogue at J2000.0, parallax [rad], for
+        apparent places; half the distance to the nearest other star [rad]
+    direction : (C, 3) directions at the index's epoch
+    pair_angle, pair : (P,), (P, 2) separation [rad] in rising order and the two stars
     pair_start, pair_bin_rad : offsets of equal bins of separation into the pair table
     cell_start, cell_star, cells : cube map with ``cells`` cells along an edge of each face; every
         star stands in each cell that it is within ``radius_rad`` of, so a look-up reads one cell
     density_per_sr : mean density of the catalogue
     """
 
+    star: Floats
     direction: Floats
-    motion: Floats
-    parallax: Floats
-    epoch_direction: Floats
     pair_angle: NDArray[np.float32]
-    pair_a: NDArray[np.int32]
-    pair_b: NDArray[np.int32]
+    pair: NDArray[np.int32]
     pair_start: NDArray[np.int32]
     pair_bin_rad: float
     cell_start: NDArray[np.int32]
@@ -67,19 +65,17 @@ def build_index(
     """
     at_epoch = catalogue.direction + years * catalogue.motion
     at_epoch /= np.linalg.norm(at_epoch, axis=1, keepdims=True)
-    angle, a, b, start, width = _pair_table(
+    angle, pair, start, width = _pair_table(
         at_epoch, np.flatnonzero(catalogue.magnitude <= seed_magnitude), pair_limit_rad
     )
     cells = max(1, int((np.pi / 2) / max(_FINEST_CELL_RAD, 3.0 * radius_rad)))
     cell_start, cell_star = _cube_map(at_epoch, radius_rad, cells)
+    columns = (catalogue.direction, catalogue.motion, catalogue.parallax, _half_gap(at_epoch))
     return SkyIndex(
-        direction=np.ascontiguousarray(catalogue.direction, dtype=np.float64),
-        motion=np.ascontiguousarray(catalogue.motion, dtype=np.float64),
-        parallax=np.ascontiguousarray(catalogue.parallax, dtype=np.float64),
-        epoch_direction=at_epoch,
+        star=np.column_stack(columns),
+        direction=at_epoch,
         pair_angle=angle,
-        pair_a=a,
-        pair_b=b,
+        pair=pair,
         pair_start=start,
         pair_bin_rad=width,
         cell_start=cell_start,
@@ -90,9 +86,17 @@ def build_index(
     )
 
 
+def _half_gap(direction: Floats) -> Floats:
+    """Return half the distance (C,) from each star to the nearest other."""
+    if len(direction) < 2:
+        return np.ones(len(direction))
+    distance, _ = cKDTree(direction).query(direction, k=2)
+    return np.asarray(0.5 * distance[:, 1])
+
+
 def _pair_table(
     direction: Floats, seeds: NDArray[np.int64], limit_rad: float
-) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], float]:
+) -> tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int32], float]:
     if len(direction) >= _MOST_STARS:
         raise InputError(
             f"{len(direction)} catalogue stars within the limiting magnitude, at most "
@@ -114,13 +118,7 @@ def _pair_table(
     width = float(limit_rad / bins)
     edges = np.arange(bins + 2) * width
     start = np.searchsorted(angle, edges.astype(np.float32)).astype(np.int32)
-    return (
-        angle,
-        np.ascontiguousarray(pairs[:, 0]),
-        np.ascontiguousarray(pairs[:, 1]),
-        start,
-        width,
-    )
+    return angle, pairs, start, width
 
 
 def cube_cell(direction: Floats, cells: int) -> NDArray[np.int64]:
@@ -128,11 +126,11 @@ def cube_cell(direction: Floats, cells: int) -> NDArray[np.int64]:
     axis = np.argmax(np.abs(direction), axis=1)
     rows = np.arange(len(direction))
     major = direction[rows, axis]
-    u = direction[rows, (axis + 1) % 3] / np.abs(major)
-    v = direction[rows, (axis + 2) % 3] / np.abs(major)
-    # Equiangular along the edges: cells of nearly equal size.
-    i = np.clip(((np.arctan(u) / (np.pi / 2) + 0.5) * cells).astype(np.int64), 0, cells - 1)
-    j = np.clip(((np.arctan(v) / (np.pi / 2) + 0.5) * cells).astype(np.int64), 0, cells - 1)
+    half = 0.5 * cells
+    scale = half / np.abs(major)
+    i = (direction[rows, (axis + 1) % 3] * scale + half).astype(np.int64)
+    j = (direction[rows, (axis + 2) % 3] * scale + half).astype(np.int64)
+    i, j = np.minimum(i, cells - 1), np.minimum(j, cells - 1)
     face = 2 * axis + (major < 0)
     return np.asarray((face * cells + i) * cells + j)
 

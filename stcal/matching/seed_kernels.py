@@ -8,14 +8,14 @@ import numpy as np
 
 from stcal.catalog.apparent_kernels import geometric_from_apparent
 from stcal.jit import kernel
+from stcal.matching.settle_kernels import settle
 from stcal.matching.verify_kernels import (
+    best_rotation,
     cell_of,
-    refine_attitude,
-    rotate_back,
-    settle,
+    copy_rows,
+    distance2,
+    rotated_back,
 )
-
-SOLVED, TOO_FEW_STARS, NO_MATCH = 0, 1, 2
 
 # An exposure that its thirty best triads don't solve was not solved by 150 either.
 _TRIALS = 30
@@ -39,247 +39,263 @@ def _determinant(a, b, c):
 
 
 @kernel
-def _window(low, high, sky):
+def _window(low, high, pairs):
     """Return the range of the pair table with separations in [low, high]."""
-    last_bin = sky.pair_start.shape[0] - 1
-    i = sky.pair_start[min(max(int(low / sky.pair_bin), 0), last_bin)]
-    n = sky.pair_angle.shape[0]
-    while i < n and sky.pair_angle[i] < low:
+    last_bin = pairs.start.shape[0] - 1
+    i = pairs.start[min(max(int(low / pairs.bin), 0), last_bin)]
+    n = pairs.angle.shape[0]
+    while i < n and pairs.angle[i] < low:
         i += 1
-    j = sky.pair_start[min(max(int(high / sky.pair_bin), 0), last_bin)]
+    j = pairs.start[min(max(int(high / pairs.bin), 0), last_bin)]
     j = max(i, j)
-    while j < n and sky.pair_angle[j] <= high:
+    while j < n and pairs.angle[j] <= high:
         j += 1
     return i, j
 
 
 @kernel
-def two_vector_attitude(s1, s2, u1, u2, c):
-    """TRIAD: the rotation c with c u1 = s1 and c u2 in the plane of s1, s2 (Black 1964)."""
-    frames = np.empty((2, 3, 3))
-    for which in range(2):
-        first = s1 if which == 0 else u1
-        second = s2 if which == 0 else u2
-        x, y, z = first[0], first[1], first[2]
-        nx = y * second[2] - z * second[1]
-        ny = z * second[0] - x * second[2]
-        nz = x * second[1] - y * second[0]
-        norm = math.sqrt(nx * nx + ny * ny + nz * nz)
-        if norm < 1e-9:
-            return False
-        nx, ny, nz = nx / norm, ny / norm, nz / norm
-        f = frames[which]
-        f[0, 0], f[1, 0], f[2, 0] = x, y, z
-        f[0, 1], f[1, 1], f[2, 1] = nx, ny, nz
-        f[0, 2], f[1, 2], f[2, 2] = y * nz - z * ny, z * nx - x * nz, x * ny - y * nx
-    for i in range(3):
-        for j in range(3):
-            c[i, j] = (
-                frames[0, i, 0] * frames[1, j, 0]
-                + frames[0, i, 1] * frames[1, j, 1]
-                + frames[0, i, 2] * frames[1, j, 2]
-            )
-    return True
+def _normal(a, b):
+    """Return the unit normal of two directions, zero where they are the same."""
+    x = a[1] * b[2] - a[2] * b[1]
+    y = a[2] * b[0] - a[0] * b[2]
+    z = a[0] * b[1] - a[1] * b[0]
+    norm = math.sqrt(x * x + y * y + z * z)
+    if norm < 1e-9:
+        return 0.0, 0.0, 0.0
+    return x / norm, y / norm, z / norm
 
 
 @kernel
-def _list_triads(s, order, seeds, sky, rule, triads, cost):
-    """Fill the triads of the brightest stars, each as (pivot, near, far) by shorter arcs first.
+def two_vector_attitude(s1, s2, u1, u2, c):
+    """TRIAD: the rotation c with c u1 = s1 and c u2 in the plane of s1, s2 (Black 1964).
 
-    The cost is the size of the join that the triad asks for; a pivot joins the two shorter arcs.
+    Returns False where two directions are the same.
+    """
+    n, m = _normal(s1, s2), _normal(u1, u2)
+    # The third axes complete the right-handed triads.
+    p = s1[1] * n[2] - s1[2] * n[1], s1[2] * n[0] - s1[0] * n[2], s1[0] * n[1] - s1[1] * n[0]
+    q = u1[1] * m[2] - u1[2] * m[1], u1[2] * m[0] - u1[0] * m[2], u1[0] * m[1] - u1[1] * m[0]
+    for i in range(3):
+        for j in range(3):
+            c[i, j] = s1[i] * u1[j] + n[i] * m[j] + p[i] * q[j]
+    return n != (0.0, 0.0, 0.0) and m != (0.0, 0.0, 0.0)
+
+
+@kernel
+def _measure_arcs(s, order):
+    """Return the separations (M, M) of the brightest stars, in order of brightness."""
+    arc = np.empty((order.shape[0], order.shape[0]))
+    for x in range(order.shape[0]):
+        for y in range(x + 1, order.shape[0]):
+            arc[x, y] = arc[y, x] = separation(s[order[x]], s[order[y]])
+    return arc
+
+
+@kernel
+def _list_triads(arc, limit, rule, join):
+    """Fill all triads x < y < z of the brightest stars with their cost; returns how many.
+
+    The cost stands for the size of the join that the triad asks for, infinite where an arc is too
+    short or too long; the two shorter arcs are joined.  Written without branches.
     """
     count = 0
-    limit = sky.pair_limit - rule.pair_tolerance
-    for x in range(seeds):
-        for y in range(x + 1, seeds):
-            i, j = order[x], order[y]
-            a_ij = separation(s[i], s[j])
-            if a_ij < rule.shortest_arc or a_ij > limit:
-                continue
-            for z in range(y + 1, seeds):
-                k = order[z]
-                a_ik, a_jk = separation(s[i], s[k]), separation(s[j], s[k])
-                if min(a_ik, a_jk) < rule.shortest_arc or max(a_ik, a_jk) > limit:
-                    continue
-                if a_jk >= a_ij and a_jk >= a_ik:
-                    pivot, first, second, short, middle = i, j, k, a_ij, a_ik
-                elif a_ik >= a_ij:
-                    pivot, first, second, short, middle = j, i, k, a_ij, a_jk
-                else:
-                    pivot, first, second, short, middle = k, i, j, a_ik, a_jk
-                triads[count, 0], triads[count, 1], triads[count, 2] = pivot, first, second
+    for z in range(2, arc.shape[0]):
+        for y in range(1, z):
+            for x in range(y):
+                a, b, c = arc[x, y], arc[x, z], arc[y, z]
+                longest, shortest = max(a, max(b, c)), min(a, min(b, c))
+                usable = (shortest >= rule.shortest_arc) & (longest <= limit)
                 # Faint seeds are likelier false; rank costs like a wider window.
-                cost[count] = (short + middle) * (1.0 + 0.15 * (x + y + z))
+                cost = (a + b + c - longest) * (1.0 + 0.15 * (x + y + z))
+                join.cost[count] = cost if usable else math.inf
+                join.triads[count, 0], join.triads[count, 1], join.triads[count, 2] = x, y, z
                 count += 1
     return count
 
 
 @kernel
-def _try_triad(s, pivot, first, second, observer, sky, rule, work, star, c):
-    """Join the two pair windows of a triad over the pivot; settle the first that passes."""
-    tolerance = rule.pair_tolerance
-    arc1, arc2 = separation(s[pivot], s[first]), separation(s[pivot], s[second])
-    arc3 = separation(s[first], s[second])
-    volume = _determinant(s[pivot], s[first], s[second])
-    # Flatter than the tolerance, the handedness can't be told.
-    flat = tolerance * max(arc1, arc2, arc3)
-    low3 = 2.0 * math.sin(0.5 * max(arc3 - tolerance, 0.0))
-    high3 = 2.0 * math.sin(0.5 * (arc3 + tolerance))
-    low3, high3 = low3 * low3, high3 * high3
-    i0, i1 = _window(arc1 - tolerance, arc1 + tolerance, sky)
-    head, following, partner = work.head, work.following, work.partner
-    n = 0
-    for p in range(i0, i1):
-        a, b = sky.pair_a[p], sky.pair_b[p]
-        partner[n], following[n], head[a] = b, head[a], n
-        n += 1
-        partner[n], following[n], head[b] = a, head[b], n
-        n += 1
-    found = 0
-    j0, j1 = _window(arc2 - tolerance, arc2 + tolerance, sky)
-    for p in range(j0, j1):
-        for side in range(2):
-            hub = sky.pair_a[p] if side == 0 else sky.pair_b[p]
-            e = head[hub]
-            if e < 0:
-                continue
-            far = sky.pair_b[p] if side == 0 else sky.pair_a[p]
-            u_hub, u_far = sky.epoch_direction[hub], sky.epoch_direction[far]
-            while e >= 0:
-                near = partner[e]
-                e = following[e]
-                u_near = sky.epoch_direction[near]
-                x, y, z = u_near[0] - u_far[0], u_near[1] - u_far[1], u_near[2] - u_far[2]
-                d2 = x * x + y * y + z * z
-                if d2 < low3 or d2 > high3 or near == far:
-                    continue
-                mirror = _determinant(u_hub, u_near, u_far)
-                if volume * mirror < 0.0 and (abs(volume) > flat or abs(mirror) > flat):
-                    continue
-                found = _settle_triad(
-                    s,
-                    pivot,
-                    first,
-                    second,
-                    u_hub,
-                    u_near,
-                    u_far,
-                    observer,
-                    sky,
-                    rule,
-                    work,
-                    star,
-                    c,
-                )
-                if found > 0:
-                    break
-            if found > 0:
-                break
-        if found > 0:
-            break
-    for p in range(i0, i1):
-        head[sky.pair_a[p]] = -1
-        head[sky.pair_b[p]] = -1
-    return found
+def _cheapest(cost, count):
+    best = 0
+    for t in range(1, count):
+        if cost[t] < cost[best]:
+            best = t
+    return best
 
 
 @kernel
-def _settle_triad(
-    s, pivot, first, second, u_hub, u_near, u_far, observer, sky, rule, work, star, c
-):
-    if not two_vector_attitude(s[second], s[first], u_far, u_near, c):
-        return 0
-    # Least squares over the three stars before the look-up.
-    star[:] = -1
-    star[pivot] = star[first] = star[second] = 0
-    work.target[pivot], work.target[first], work.target[second] = u_hub, u_near, u_far
-    if not refine_attitude(s, work.target, star, c):
-        return 0
-    return settle(s, c, observer, sky, rule, star, work.target, work.distance2, work.owner)
+def _from_pivot(x, y, z, arc):
+    """Return a triad's stars with the pivot, from which the two shorter arcs go, first."""
+    if arc[y, z] >= arc[x, y] and arc[y, z] >= arc[x, z]:
+        return x, y, z
+    if arc[x, z] >= arc[x, y]:
+        return y, x, z
+    return z, x, y
+
+
+@kernel
+def _chain_pairs(i0, i1, pair, join):
+    """Chain the pairs of a window at both their stars."""
+    head, chain = join.head, join.chain
+    n = 0
+    for p in range(i0, i1):
+        for side in range(2):
+            hub = pair[p, side]
+            chain[n, 0], chain[n, 1] = head[hub], pair[p, 1 - side]
+            head[hub] = n
+            n += 1
+
+
+@kernel
+def _unchain_pairs(i0, i1, pair, head):
+    for p in range(i0, i1):
+        head[pair[p, 0]] = -1
+        head[pair[p, 1]] = -1
+
+
+@kernel
+def _next_triangle(side, link, last, shape, u, pair, join):
+    """Find the next catalogue triangle of the join; returns whether, and where to go on.
+
+    ``side`` counts the stars of the second window's pairs, ``link`` is the place in that star's
+    chain, -1 for its head.  Returns (found, side, link, hub, near, far).
+    """
+    head, chain = join.head, join.chain
+    low2, high2, volume, flat = shape
+    found, hub, near, far = False, 0, 0, 0
+    while side < last and not found:
+        hub, far = pair[side // 2, side % 2], pair[side // 2, 1 - side % 2]
+        if link < 0:
+            link = head[hub]
+        while link >= 0 and not found:
+            link, near = chain[link, 0], chain[link, 1]
+            d2 = distance2(u[near, 0], u[near, 1], u[near, 2], u, far)
+            if low2 <= d2 <= high2 and near != far:
+                mirror = _determinant(u[hub], u[near], u[far])
+                found = volume * mirror >= 0.0 or max(abs(volume), abs(mirror)) <= flat
+        if link < 0:
+            side += 1
+    return found, side, link, hub, near, far
+
+
+@kernel
+def _triad_attitude(s, pivot, first, second, u, hub, near, far, c):
+    """Fill the attitude of three matched stars; returns False where they don't fix one."""
+    fixed = two_vector_attitude(s[second], s[first], u[far], u[near], c)
+    # Least squares over the three stars, so that the look-up needs no wider radius.
+    p00, p01, p02 = _sum_of_products(s, pivot, first, second, 0, u, hub, near, far)
+    p10, p11, p12 = _sum_of_products(s, pivot, first, second, 1, u, hub, near, far)
+    p20, p21, p22 = _sum_of_products(s, pivot, first, second, 2, u, hub, near, far)
+    return fixed and best_rotation((p00, p01, p02, p10, p11, p12, p20, p21, p22), c)
+
+
+@kernel
+def _sum_of_products(s, i, j, k, axis, u, a, b, c):
+    """Return a row of sum s u^T over three stars."""
+    p, q, r = s[i, axis], s[j, axis], s[k, axis]
+    return (
+        p * u[a, 0] + q * u[b, 0] + r * u[c, 0],
+        p * u[a, 1] + q * u[b, 1] + r * u[c, 1],
+        p * u[a, 2] + q * u[b, 2] + r * u[c, 2],
+    )
+
+
+@kernel
+def _try_triad(s, pivot, first, second, arcs, observer, sky, rule, work, star, c):
+    """Join the two pair windows of a triad over the pivot; settle the first that passes."""
+    tolerance, u, pair = rule.pair_tolerance, sky.stars.direction, sky.pairs.pair
+    i0, i1 = _window(arcs[0] - tolerance, arcs[0] + tolerance, sky.pairs)
+    j0, j1 = _window(arcs[1] - tolerance, arcs[1] + tolerance, sky.pairs)
+    low = 2.0 * math.sin(0.5 * max(arcs[2] - tolerance, 0.0))
+    high = 2.0 * math.sin(0.5 * (arcs[2] + tolerance))
+    # Flatter than the tolerance, the handedness can't be told.
+    flat = tolerance * max(arcs[0], arcs[1], arcs[2])
+    shape = low * low, high * high, _determinant(s[pivot], s[first], s[second]), flat
+    _chain_pairs(i0, i1, pair, work.join)
+    matches, side, link, found = 0, 2 * j0, -1, True
+    while found and matches == 0:
+        found, side, link, hub, near, far = _next_triangle(
+            side, link, 2 * j1, shape, u, pair, work.join
+        )
+        if found and _triad_attitude(s, pivot, first, second, u, hub, near, far, c):
+            matches = settle(s, c, observer, sky.stars, rule, work.slots, star)
+    _unchain_pairs(i0, i1, pair, work.join.head)
+    return matches
 
 
 @kernel
 def solve_lost_in_space(s, order, observer, sky, rule, work, star, c):
-    """Identify one exposure without prior knowledge; returns the number of matches, 0 = none."""
-    seeds = min(s.shape[0], rule.seed_stars)
-    count = _list_triads(s, order, seeds, sky, rule, work.triads, work.cost)
-    for _ in range(min(count, _TRIALS)):
-        t = 0
-        for x in range(1, count):
-            if work.cost[x] < work.cost[t]:
-                t = x
-        work.cost[t] = math.inf
+    """Identify one exposure without prior knowledge; returns the number of matches, 0 = none.
+
+    ``order`` (M,) are the brightest detections, which seed hypotheses.
+    """
+    arc = _measure_arcs(s, order)
+    cost, triads = work.join.cost, work.join.triads
+    count = _list_triads(arc, sky.pairs.limit - rule.pair_tolerance, rule, work.join)
+    found, trials, t = 0, 0, _cheapest(cost, count)
+    while found == 0 and trials < _TRIALS and cost[t] < math.inf:
+        trials += 1
+        cost[t] = math.inf
+        x, y, z = _from_pivot(triads[t, 0], triads[t, 1], triads[t, 2], arc)
         found = _try_triad(
-            s, work.triads[t, 0], work.triads[t, 1], work.triads[t, 2],
+            s, order[x], order[y], order[z], (arc[x, y], arc[x, z], arc[y, z]),
             observer, sky, rule, work, star, c,
         )  # fmt: skip
-        if found > 0:
-            return found
-    star[:] = -1
-    return 0
+        t = _cheapest(cost, count)
+    if found == 0:
+        star[:] = -1
+    return found
 
 
 @kernel
-def _candidates(u, radius, observer, sky, out):
-    """List catalogue stars within ``radius`` of an apparent direction; returns how many."""
-    g = np.empty(3)
-    geometric_from_apparent(u, observer, g)
-    cell = cell_of(g, sky.cells)
+def _candidates(s, k, hint, radius, observer, stars, out):
+    """List catalogue stars within ``radius`` of a detection under the hint; returns how many."""
+    x, y, z = rotated_back(hint, s[k, 0], s[k, 1], s[k, 2])
+    x, y, z = geometric_from_apparent(x, y, z, observer)
+    cell = cell_of(x, y, z, stars.cells)
     count = 0
-    for e in range(sky.cell_start[cell], sky.cell_start[cell + 1]):
-        candidate = sky.cell_star[e]
-        if separation(g, sky.epoch_direction[candidate]) < radius and count < out.shape[0]:
-            out[count] = candidate
+    for e in range(stars.cell_start[cell], stars.cell_start[cell + 1]):
+        d2 = distance2(x, y, z, stars.direction, stars.cell_star[e])
+        if d2 < radius * radius and count < out.shape[0]:
+            out[count] = stars.cell_star[e]
             count += 1
     return count
 
 
 @kernel
-def solve_guided(s, order, hint, observer, sky, rule, work, star, c):
-    """Identify one exposure near the attitude ``hint``; returns the number of matches, 0 = none.
+def search_near(s, order, hint, observer, stars, rule, slots, star, c, best):
+    """Identify one exposure within the hint radius of ``hint``; returns the number of matches.
 
-    The hint itself is tried first; then pairs of bright stars whose catalogue candidates lie
-    within the hint radius and whose arclength agrees.
+    Pairs of bright stars whose catalogue candidates lie within the hint radius and whose arclength
+    agrees are tried until more than half of the stars match.  ``best`` matches in ``star`` with the
+    attitude ``c`` are what is known already.
     """
-    c[:, :] = hint
-    found = settle(s, c, observer, sky, rule, star, work.target, work.distance2, work.owner)
-    if 2 * found > s.shape[0]:
-        return found
-    best, best_c = found, c.copy()
-    kept = star.copy()
-    u1, u2 = np.empty(3), np.empty(3)
+    u, target, count = stars.direction, slots.target, s.shape[0]
+    best_c, kept, places = c.copy(), star.copy(), np.empty((count, 3))
+    copy_rows(target, places, count)
     list1, list2 = np.empty(_CHAIN, np.int32), np.empty(_CHAIN, np.int32)
-    seeds = min(s.shape[0], rule.seed_stars)
-    for x in range(seeds):
+    enough = count // 2
+    for x in range(order.shape[0]):
         i = order[x]
-        rotate_back(hint, s[i], u1)
-        n1 = _candidates(u1, rule.hint_radius, observer, sky, list1)
-        for y in range(x + 1, seeds if n1 > 0 else 0):
+        n1 = _candidates(s, i, hint, rule.hint_radius, observer, stars, list1)
+        for y in range(x + 1, order.shape[0] if best <= enough and n1 > 0 else 0):
             j = order[y]
             arc = separation(s[i], s[j])
-            if arc < rule.shortest_arc:
+            if best > enough or arc < rule.shortest_arc:
                 continue
-            rotate_back(hint, s[j], u2)
-            n2 = _candidates(u2, rule.hint_radius, observer, sky, list2)
-            for p in range(n1):
-                for q in range(n2):
-                    a, b = sky.epoch_direction[list1[p]], sky.epoch_direction[list2[q]]
-                    if abs(separation(a, b) - arc) > rule.pair_tolerance:
-                        continue
-                    if not two_vector_attitude(s[i], s[j], a, b, c):
-                        continue
-                    found = settle(
-                        s, c, observer, sky, rule, star, work.target, work.distance2, work.owner
-                    )
+            n2 = _candidates(s, j, hint, rule.hint_radius, observer, stars, list2)
+            for p in range(n1 * n2):
+                a, b = u[list1[p // n2]], u[list2[p % n2]]
+                if best > enough or abs(separation(a, b) - arc) > rule.pair_tolerance:
+                    continue
+                if two_vector_attitude(s[i], s[j], a, b, c):
+                    found = settle(s, c, observer, stars, rule, slots, star)
                     if found > best:
                         best, kept[:] = found, star
-                        best_c[:, :] = c
-                    if 2 * best > s.shape[0]:
-                        star[:] = kept
-                        c[:, :] = best_c
-                        return best
-    star[:] = kept
-    c[:, :] = best_c
-    if best == 0:
-        star[:] = -1
+                        copy_rows(c, best_c, 3)
+                        copy_rows(target, places, count)
+    copy_rows(best_c, c, 3)
+    copy_rows(places, target, count)
+    for k in range(count):
+        star[k] = kept[k] if best > 0 else -1
+        slots.placed[k] = star[k]
     return best

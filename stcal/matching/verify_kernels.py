@@ -1,110 +1,121 @@
-"""The geometric consistency check that both identification methods end in (numba).
+"""The parts of the geometric consistency check: rotation, attitude, look-up, acceptance (numba).
 
-From an approximate attitude of one exposure: match every detection to the nearest catalogue star,
-refit the attitude, and repeat until the set of matches no longer changes.  Attitudes near the
-truth all lead to the same fixed point.
+Vectors go as three numbers where a kernel is called star by star: making a small array would cost
+more than the arithmetic.
 """
 
 from __future__ import annotations
 
 import math
 
-import numpy as np
-
-from stcal.catalog.apparent_kernels import apparent_place, geometric_from_apparent
 from stcal.jit import kernel
 
-_ROUNDS = 12
-# The first look-up allows for the coarse attitude of a hypothesis.
-_FIRST_RADIUS = 2.5
+# After a Newton step below this [rad] the error is rounding.
+_LAST_STEP = 1e-8
+_STEPS = 6
+# Determinant of the normal matrix below which the stars don't fix the attitude.
+_FLAT = 1e-12
 
 
 @kernel
-def cell_of(u, cells):
-    """Return the cube-map cell of a direction; the twin of ``index.cube_cell``."""
-    axis = 0
-    if abs(u[1]) > abs(u[axis]):
-        axis = 1
-    if abs(u[2]) > abs(u[axis]):
-        axis = 2
-    major = abs(u[axis])
-    a = math.atan(u[(axis + 1) % 3] / major) / (0.5 * math.pi) + 0.5
-    b = math.atan(u[(axis + 2) % 3] / major) / (0.5 * math.pi) + 0.5
-    i = min(max(int(a * cells), 0), cells - 1)
-    j = min(max(int(b * cells), 0), cells - 1)
-    face = 2 * axis + (1 if u[axis] < 0 else 0)
-    return (face * cells + i) * cells + j
+def rotated(c, x, y, z):
+    """Return c v."""
+    return (
+        c[0, 0] * x + c[0, 1] * y + c[0, 2] * z,
+        c[1, 0] * x + c[1, 1] * y + c[1, 2] * z,
+        c[2, 0] * x + c[2, 1] * y + c[2, 2] * z,
+    )
+
+
+@kernel
+def rotated_back(c, x, y, z):
+    """Return c^T v."""
+    return (
+        c[0, 0] * x + c[1, 0] * y + c[2, 0] * z,
+        c[0, 1] * x + c[1, 1] * y + c[2, 1] * z,
+        c[0, 2] * x + c[1, 2] * y + c[2, 2] * z,
+    )
 
 
 @kernel
 def rotate(c, v, out):
     """out = c v."""
-    for i in range(3):
-        out[i] = c[i, 0] * v[0] + c[i, 1] * v[1] + c[i, 2] * v[2]
+    out[0], out[1], out[2] = rotated(c, v[0], v[1], v[2])
 
 
 @kernel
 def rotate_back(c, v, out):
     """out = c^T v."""
-    for i in range(3):
-        out[i] = c[0, i] * v[0] + c[1, i] * v[1] + c[2, i] * v[2]
+    out[0], out[1], out[2] = rotated_back(c, v[0], v[1], v[2])
 
 
 @kernel
-def _distance2(a, b):
-    x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
-    return x * x + y * y + z * z
+def copy_rows(table, out, rows):
+    """Copy vectors (rows, 3); a slice assignment would check for overlap."""
+    for i in range(rows):
+        out[i, 0], out[i, 1], out[i, 2] = table[i, 0], table[i, 1], table[i, 2]
 
 
 @kernel
 def refine_attitude(s, target, star, c):
     """Turn ``c`` (I to D) to the least-squares attitude of the matched stars, in place.
 
-    Gauss-Newton on the small rotation: sum (1 - b b^T) d = sum b x s with b = c u.  Two rounds
-    from some milliradians reach rounding.  Returns False where the stars don't fix the attitude.
+    Returns False where the stars don't fix the attitude.
     """
-    b = np.empty(3)
-    for _ in range(2):
-        a00 = a01 = a02 = a11 = a12 = a22 = 0.0
-        g0 = g1 = g2 = 0.0
-        for k in range(s.shape[0]):
-            if star[k] < 0:
-                continue
-            rotate(c, target[k], b)
-            a00 += 1.0 - b[0] * b[0]
-            a01 -= b[0] * b[1]
-            a02 -= b[0] * b[2]
-            a11 += 1.0 - b[1] * b[1]
-            a12 -= b[1] * b[2]
-            a22 += 1.0 - b[2] * b[2]
-            g0 += b[1] * s[k, 2] - b[2] * s[k, 1]
-            g1 += b[2] * s[k, 0] - b[0] * s[k, 2]
-            g2 += b[0] * s[k, 1] - b[1] * s[k, 0]
-        m00, m01, m02 = a11 * a22 - a12 * a12, a02 * a12 - a01 * a22, a01 * a12 - a02 * a11
-        det = a00 * m00 + a01 * m01 + a02 * m02
-        if not abs(det) > 1e-12:
-            return False
-        m11, m12, m22 = a00 * a22 - a02 * a02, a01 * a02 - a00 * a12, a00 * a11 - a01 * a01
-        x = (m00 * g0 + m01 * g1 + m02 * g2) / det
-        y = (m01 * g0 + m11 * g1 + m12 * g2) / det
-        z = (m02 * g0 + m12 * g1 + m22 * g2) / det
-        _turn(c, x, y, z)
-    return True
+    p00 = p01 = p02 = p10 = p11 = p12 = p20 = p21 = p22 = 0.0
+    for k in range(s.shape[0]):
+        if star[k] < 0:
+            continue
+        x, y, z = target[k, 0], target[k, 1], target[k, 2]
+        p00 += s[k, 0] * x
+        p01 += s[k, 0] * y
+        p02 += s[k, 0] * z
+        p10 += s[k, 1] * x
+        p11 += s[k, 1] * y
+        p12 += s[k, 1] * z
+        p20 += s[k, 2] * x
+        p21 += s[k, 2] * y
+        p22 += s[k, 2] * z
+    return best_rotation((p00, p01, p02, p10, p11, p12, p20, p21, p22), c)
+
+
+@kernel
+def best_rotation(profile, c):
+    """Turn ``c``, some degrees off at most, to the maximum of trace(c P^T), in place.
+
+    ``profile`` holds Wahba's P = sum s u^T, row by row, so that the stars are gone through once.
+    Newton's method on the small rotation d: with M = P c^T, (tr(M) 1 - (M + M^T) / 2) d = a, a the
+    antisymmetric part sum (c u) x s.  Returns False where the stars don't fix the attitude.
+    """
+    step2, det, steps = 1.0, 1.0, 0
+    while step2 > _LAST_STEP * _LAST_STEP and det > _FLAT and steps < _STEPS:
+        steps += 1
+        m00, m01, m02 = rotated(c, profile[0], profile[1], profile[2])
+        m10, m11, m12 = rotated(c, profile[3], profile[4], profile[5])
+        m20, m21, m22 = rotated(c, profile[6], profile[7], profile[8])
+        h00, h11, h22 = m11 + m22, m00 + m22, m00 + m11
+        h01, h02, h12 = -0.5 * (m01 + m10), -0.5 * (m02 + m20), -0.5 * (m12 + m21)
+        a0, a1, a2 = m21 - m12, m02 - m20, m10 - m01
+        i00, i01, i02 = h11 * h22 - h12 * h12, h02 * h12 - h01 * h22, h01 * h12 - h02 * h11
+        i11, i12, i22 = h00 * h22 - h02 * h02, h01 * h02 - h00 * h12, h00 * h11 - h01 * h01
+        det = h00 * i00 + h01 * i01 + h02 * i02
+        if det > _FLAT:
+            x = (i00 * a0 + i01 * a1 + i02 * a2) / det
+            y = (i01 * a0 + i11 * a1 + i12 * a2) / det
+            z = (i02 * a0 + i12 * a1 + i22 * a2) / det
+            _turn(c, 0.5 * x, 0.5 * y, 0.5 * z)
+            step2 = x * x + y * y + z * z
+    return det > _FLAT
 
 
 @kernel
 def _turn(c, x, y, z):
-    """c <- R c with R the rotation by the vector (x, y, z)."""
-    angle = math.sqrt(x * x + y * y + z * z)
-    if angle < 1e-300:
-        return
-    h = math.sin(0.5 * angle) / angle
-    q0, q1, q2, q3 = h * x, h * y, h * z, math.cos(0.5 * angle)
-    r00, r11 = 1 - 2 * (q1 * q1 + q2 * q2), 1 - 2 * (q0 * q0 + q2 * q2)
-    r22 = 1 - 2 * (q0 * q0 + q1 * q1)
-    r01, r10 = 2 * (q0 * q1 - q2 * q3), 2 * (q0 * q1 + q2 * q3)
-    r02, r20 = 2 * (q0 * q2 + q1 * q3), 2 * (q0 * q2 - q1 * q3)
-    r12, r21 = 2 * (q1 * q2 - q0 * q3), 2 * (q1 * q2 + q0 * q3)
+    """c <- R c with R the rotation of the quaternion along (x, y, z, 1)."""
+    n = 2.0 / (1.0 + x * x + y * y + z * z)
+    r00, r11, r22 = 1.0 - n * (y * y + z * z), 1.0 - n * (x * x + z * z), 1.0 - n * (x * x + y * y)
+    r01, r10 = n * (x * y - z), n * (x * y + z)
+    r02, r20 = n * (x * z + y), n * (x * z - y)
+    r12, r21 = n * (y * z - x), n * (y * z + x)
     for j in range(3):
         a, b, d = c[0, j], c[1, j], c[2, j]
         c[0, j] = r00 * a + r01 * b + r02 * d
@@ -113,63 +124,40 @@ def _turn(c, x, y, z):
 
 
 @kernel
-def nearest_star(g, radius, sky):
-    """Return the catalogue star nearest to the geometric direction ``g``, or -1."""
-    cell = cell_of(g, sky.cells)
+def cell_of(x, y, z, cells):
+    """Return the cube-map cell of a direction; the twin of ``index.cube_cell``."""
+    ax, ay, az = abs(x), abs(y), abs(z)
+    if ax >= ay and ax >= az:
+        axis, major, u, v = 0, x, y, z
+    elif ay >= az:
+        axis, major, u, v = 1, y, z, x
+    else:
+        axis, major, u, v = 2, z, x, y
+    half = 0.5 * cells
+    scale = half / abs(major)
+    i = min(int(u * scale + half), cells - 1)
+    j = min(int(v * scale + half), cells - 1)
+    face = 2 * axis + (1 if major < 0.0 else 0)
+    return (face * cells + i) * cells + j
+
+
+@kernel
+def nearest_star(x, y, z, radius, stars):
+    """Return the catalogue star nearest to a geometric direction within ``radius``, or -1."""
+    cell = cell_of(x, y, z, stars.cells)
     best, best2 = -1, radius * radius
-    for e in range(sky.cell_start[cell], sky.cell_start[cell + 1]):
-        candidate = sky.cell_star[e]
-        d2 = _distance2(g, sky.epoch_direction[candidate])
+    for e in range(stars.cell_start[cell], stars.cell_start[cell + 1]):
+        d2 = distance2(x, y, z, stars.direction, stars.cell_star[e])
         if d2 < best2:
-            best, best2 = candidate, d2
+            best, best2 = stars.cell_star[e], d2
     return best
 
 
 @kernel
-def _assign(s, c, radius, observer, sky, star, target, distance2, owner):
-    """Match each detection to the nearest star within ``radius``; nearest wins a shared star.
-
-    Returns the number of matches and whether any match changed.
-    """
-    u, g, b = np.empty(3), np.empty(3), np.empty(3)
-    changed = False
-    count = 0
-    for k in range(s.shape[0]):
-        rotate_back(c, s[k], u)
-        geometric_from_apparent(u, observer, g)
-        # A little more than the radius: the exact place decides below.
-        found = nearest_star(g, radius + 2e-6, sky)
-        before = star[k]
-        if found >= 0:
-            if found != before:
-                apparent_place(
-                    sky.direction[found],
-                    sky.motion[found],
-                    sky.parallax[found],
-                    observer,
-                    target[k],
-                )
-            rotate(c, target[k], b)
-            distance2[k] = _distance2(b, s[k])
-            if distance2[k] > radius * radius:
-                found = -1
-        star[k] = found
-        if found >= 0:
-            rival = owner[found]
-            if rival >= 0:
-                loser = k if distance2[rival] <= distance2[k] else rival
-                winner = rival if loser == k else k
-                star[loser] = -1
-                owner[found] = winner
-            else:
-                owner[found] = k
-                count += 1
-        if star[k] != before:
-            changed = True
-    for k in range(s.shape[0]):
-        if star[k] >= 0:
-            owner[star[k]] = -1
-    return count, changed
+def distance2(x, y, z, table, k):
+    """Return the squared distance of a vector from row ``k`` of a table (N, 3)."""
+    x, y, z = x - table[k, 0], y - table[k, 1], z - table[k, 2]
+    return x * x + y * y + z * z
 
 
 @kernel
@@ -194,50 +182,3 @@ def accept(matches, detections, rule):
         + (matches - 2) * math.log(rule.chance)
     )
     return log_alarms < math.log(rule.false_alarm)
-
-
-@kernel
-def settle(s, c, observer, sky, rule, star, target, distance2, owner):
-    """Run the check from the attitude ``c``; returns the number of matches, 0 when refused.
-
-    ``star`` (N,) and ``c`` are left at the fixed point.
-    """
-    star[:] = -1
-    radius = min(_FIRST_RADIUS * rule.star_tolerance, sky.radius)
-    count, _ = _assign(s, c, radius, observer, sky, star, target, distance2, owner)
-    for _ in range(_ROUNDS):
-        if count < rule.minimum_matches or not refine_attitude(s, target, star, c):
-            return 0
-        count, changed = _assign(
-            s, c, rule.star_tolerance, observer, sky, star, target, distance2, owner
-        )
-        if not changed:
-            break
-    if not _tighten(s, c, rule, star, target):
-        return 0
-    count = 0
-    for k in range(s.shape[0]):
-        count += star[k] >= 0
-    return count if accept(count, s.shape[0], rule) else 0
-
-
-@kernel
-def _tighten(s, c, rule, star, target):
-    """Refit and drop the worst star until all are within the tolerance of their own attitude."""
-    b = np.empty(3)
-    tolerance2 = rule.star_tolerance * rule.star_tolerance
-    for _ in range(s.shape[0]):
-        if not refine_attitude(s, target, star, c):
-            return False
-        worst, worst2 = -1, tolerance2
-        for k in range(s.shape[0]):
-            if star[k] < 0:
-                continue
-            rotate(c, target[k], b)
-            d2 = _distance2(b, s[k])
-            if d2 > worst2:
-                worst, worst2 = k, d2
-        if worst < 0:
-            return True
-        star[worst] = -1
-    return False

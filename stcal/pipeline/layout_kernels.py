@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from stcal.cameras.unit_kernels import CAMERA_SIGNATURE
 from stcal.estimators.pointer_kernels import COVARIANCE, PREDICT, UPDATE
-from stcal.matching.kernels import Rule, Sky, Work
+from stcal.matching.kernels import Join, PairTable, Rule, Sky, Slots, StarMap, Work
 from stcal.residuals.contract_kernels import BIND, ROWS
 
 # Innovations of a frame are at most so many times its detections: three values of N - 2 groups.
@@ -153,11 +153,16 @@ PASS_SIGNATURE = void(
     ),
     _named(Rules, *[boolean] * 5, int64, float64, int64, *[float64] * 3),
     _named(
-        Sky, _TABLE, _TABLE, _COLUMN, _TABLE, float32[::1], _STARS, _STARS, _STARS, float64,
-        float64, _STARS, _STARS, int64, float64,
+        Sky,
+        _named(StarMap, _TABLE, _TABLE, _STARS, _STARS, int64, float64),
+        _named(PairTable, float32[::1], int32[:, ::1], _STARS, float64, float64),
     ),
     _named(Rule, *[float64] * 4, int64, int64, *[float64] * 3),
-    _named(Work, *[_STARS] * 4, _TABLE, _COLUMN, int32[:, ::1], _COLUMN),
+    _named(
+        Work,
+        _named(Slots, _TABLE, _COLUMN, _STARS, _STARS, _STARS),
+        _named(Join, _STARS, int32[:, ::1], int32[:, ::1], _COLUMN),
+    ),
     _named(
         State, _COLUMN, _TABLE, _COLUMN, _TABLE, _COLUMN, _TABLE, _COLUMN, _COLUMN, _COLUMN, _TABLE
     ),
