@@ -90,7 +90,7 @@ def _half_gap(direction: Floats) -> Floats:
     """Return half the distance (C,) from each star to the nearest other."""
     if len(direction) < 2:
         return np.ones(len(direction))
-    distance, _ = cKDTree(direction).query(direction, k=2)
+    distance = np.asarray(cKDTree(direction).query(direction, k=2)[0])
     return np.asarray(0.5 * distance[:, 1])
 
 
@@ -113,12 +113,12 @@ def _pair_table(
     names = pairs[:, 0] * stars + pairs[:, 1]
     key = np.sort((angle.view(np.int32).astype(np.int64) << 32) | names)
     angle = (key >> 32).astype(np.int32).view(np.float32)
-    pairs = np.stack(np.divmod(key & 0xFFFFFFFF, stars), axis=1).astype(np.int32)
+    sorted_pairs = np.stack(np.divmod(key & 0xFFFFFFFF, stars), axis=1).astype(np.int32)
     bins = max(1, len(angle) // 4)
     width = float(limit_rad / bins)
     edges = np.arange(bins + 2) * width
     start = np.searchsorted(angle, edges.astype(np.float32)).astype(np.int32)
-    return angle, pairs, start, width
+    return angle, sorted_pairs, start, width
 
 
 def cube_cell(direction: Floats, cells: int) -> NDArray[np.int64]:

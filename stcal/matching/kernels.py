@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stcal.jit import kernel
-from stcal.matching.seed_kernels import search_near, solve_lost_in_space
+from stcal.matching.seed_kernels import search_near
 from stcal.matching.settle_kernels import departure2, settle
+from stcal.matching.triad_kernels import solve_lost_in_space
 from stcal.matching.verify_kernels import copy_rows
 
 SOLVED, TOO_FEW_STARS, NO_MATCH = 0, 1, 2
@@ -81,11 +82,13 @@ class Join(NamedTuple):
     """Scratch of the join.
 
     ``head`` (C,) starts each star's chain of pairs, ``chain`` (2 P, 2) holds the next link and the
-    star at the other end; triads (T, 3) of detections with their cost (T,).
+    star at the other end, ``joined`` (2 P,) the places in the pairs of the second window that meet
+    a chain; triads (T, 3) of detections with their cost (T,).
     """
 
     head: NDArray[np.int32]
     chain: NDArray[np.int32]
+    joined: NDArray[np.int32]
     triads: NDArray[np.int32]
     cost: NDArray[np.float64]
 
@@ -111,6 +114,7 @@ def make_work(catalogue_stars: int, largest_exposure: int, pairs: int, seeds: in
         Join(
             head=np.full(catalogue_stars, -1, np.int32),
             chain=np.empty((2 * pairs, 2), np.int32),
+            joined=np.empty(2 * pairs + 1, np.int32),
             triads=np.empty((triads, 3), np.int32),
             cost=np.empty(triads),
         ),

@@ -135,8 +135,9 @@ def cell_of(x, y, z, cells):
         axis, major, u, v = 2, z, x, y
     half = 0.5 * cells
     scale = half / abs(major)
-    i = min(int(u * scale + half), cells - 1)
-    j = min(int(v * scale + half), cells - 1)
+    # Both bounds, since a number that is not finite may come by.
+    i = min(max(int(u * scale + half), 0), cells - 1)
+    j = min(max(int(v * scale + half), 0), cells - 1)
     face = 2 * axis + (1 if major < 0.0 else 0)
     return (face * cells + i) * cells + j
 

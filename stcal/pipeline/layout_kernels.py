@@ -161,7 +161,7 @@ PASS_SIGNATURE = void(
     _named(
         Work,
         _named(Slots, _TABLE, _COLUMN, _STARS, _STARS, _STARS),
-        _named(Join, _STARS, int32[:, ::1], int32[:, ::1], _COLUMN),
+        _named(Join, _STARS, int32[:, ::1], _STARS, int32[:, ::1], _COLUMN),
     ),
     _named(
         State, _COLUMN, _TABLE, _COLUMN, _TABLE, _COLUMN, _TABLE, _COLUMN, _COLUMN, _COLUMN, _TABLE

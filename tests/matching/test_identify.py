@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from stcal.matching import METHODS, REASONS, Matcher, match
 from stcal.matching.identify import rematch_given, telemetered_matches
 from stcal.matching.kernels import brightest_first
+from stcal.matching.verify_kernels import best_rotation
 
 
 def wrong_matches(part, matched):
@@ -108,6 +109,27 @@ def test_frames_are_independent_of_their_neighbours():
     assert np.array_equal(whole.c_di, np.concatenate([p.c_di for p in parts]), equal_nan=True)
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_a_centroid_that_is_not_a_number_costs_only_its_own_match(method):
+    data = simulation(4, 36, 60)
+    frames, hints = data.calibration.frames, true_attitudes(data, data.calibration)
+    spoilt = frames.star_offsets[:-1][frames.stars_per_exposure > 8]
+    row_px = frames.row_px.copy()
+    row_px[spoilt] = np.nan
+    broken = replace(frames, row_px=row_px)
+    whole, found = (
+        match(f, data.true.camera, data.true.c_sd, st16_matcher(), method, hints)
+        for f in (frames, broken)
+    )
+    good = np.setdiff1d(np.arange(frames.n_stars), spoilt)
+    assert (found.star[spoilt] == -1).all()
+    assert (found.star[good] == whole.star[good]).mean() > 0.99
+    nothing = replace(frames, row_px=np.full(frames.n_stars, np.nan))
+    assert not match(
+        nothing, data.true.camera, data.true.c_sd, st16_matcher(), method, hints
+    ).solved.any()
+
+
 def test_matched_stars_are_unique_and_within_tolerance():
     data = simulation(1, 37, 100)
     frames = data.calibration.frames
@@ -174,6 +196,24 @@ def test_brightness_order_ranks_known_intensities_first():
         brightest_first(intensity, order)
         key = np.where(np.isnan(intensity), np.inf, -intensity)
         assert order.tolist() == np.argsort(key, kind="stable").tolist()
+        few = np.empty(min(count, 12), np.int64)
+        brightest_first(intensity, few)
+        assert few.tolist() == order[:12].tolist()
+
+
+def test_the_matrix_of_products_gives_the_wahba_solution_from_degrees_away():
+    rng = np.random.default_rng(3)
+    u = np.array([0.0, 0.0, 1.0]) + rng.normal(0.0, 0.1, (6, 3))
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    truth = Rotation.random(rng=rng)
+    s = truth.apply(u) + rng.normal(0.0, 3e-4, (6, 3))
+    s /= np.linalg.norm(s, axis=1, keepdims=True)
+    best, _ = Rotation.align_vectors(s, u)
+    c = (Rotation.from_rotvec([0.03, -0.02, 0.04]) * truth).as_matrix()
+    assert best_rotation(tuple((s.T @ u).ravel()), c)
+    np.testing.assert_allclose(c, best.as_matrix(), atol=1e-13)
+    same = np.repeat(u[:1], 3, axis=0)
+    assert not best_rotation(tuple((same.T @ same).ravel()), np.eye(3))
 
 
 def test_telemetered_matches_are_checked_for_consistency():

@@ -43,6 +43,12 @@ def test_a_look_up_finds_the_nearest_star_as_brute_force_does(index):
     assert (nearest < 0).any()
 
 
+def test_within_half_the_gap_no_other_star_is_nearer(index):
+    distance = np.linalg.norm(index.direction[:300, None] - index.direction[None], axis=2)
+    distance[np.arange(300), np.arange(300)] = np.inf
+    np.testing.assert_allclose(index.star[:300, 7], 0.5 * distance.min(axis=1), rtol=1e-12)
+
+
 def test_pairs_are_all_pairs_within_the_limit(index):
     u = index.direction[:700]
     cosine = u @ u.T
