@@ -247,10 +247,13 @@ def test_a_repeated_identifier_counts_for_nothing():
     assert star[first] == star[other] == -1
 
 
-def test_the_kernels_attitude_is_the_wahba_solution():
-    data = simulation(1, 42, 60)
-    frames = data.calibration.frames
-    matched = match(frames, data.initial.camera, np.eye(3), st16_matcher())
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("number", [1, 4])
+def test_the_kernels_attitude_is_the_wahba_solution(number, method):
+    """With an uncalibrated camera, so that hypotheses are tried and given up."""
+    data = simulation(number, 42, 60)
+    frames, hints = data.calibration.frames, true_attitudes(data, data.calibration)
+    matched = match(frames, data.initial.camera, np.eye(3), st16_matcher(), method, hints)
     again = rematch_given(frames, data.initial.camera, st16_matcher().catalogue, matched.star)
     assert np.array_equal(matched.solved, again.solved)
     np.testing.assert_allclose(matched.c_di, again.c_di, atol=1e-12)

@@ -29,6 +29,8 @@ def test_the_kernel_and_numpy_agree_on_cells(index):
     u = directions(5000, 1)
     expected = cube_cell(u, index.cells)
     assert [cell_of(*v, index.cells) for v in u] == expected.tolist()
+    for cells in (89, 90):
+        assert 0 <= cell_of(np.nan, np.nan, np.nan, cells) < 6 * cells**2
 
 
 def test_a_look_up_finds_the_nearest_star_as_brute_force_does(index):
