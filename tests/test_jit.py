@@ -1,5 +1,7 @@
+import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -83,10 +85,51 @@ def test_one_compiled_kernel_takes_any_pointer_and_is_found_on_disk(tmp_path):
     script = tmp_path / "pointers.py"
     script.write_text(POINTERS)
     environment = {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": str(ROOT)}
-    answers = [
+    runs = [
         subprocess.run(
             [sys.executable, script], env=environment, capture_output=True, text=True, check=True
-        ).stdout.split()
+        )
         for _ in range(2)
     ]
+    answers = [run.stdout.split() for run in runs]
     assert answers == [["6.0", "9.0", "0", "1"], ["6.0", "9.0", "1", "1"]]
+    # Why it takes so long is said once, where nothing was compiled before.
+    first, second = (run.stderr for run in runs)
+    assert first.count("compiling kernels for this machine") == 1
+    assert len(first.splitlines()) == 1
+    assert second == ""
+
+
+def test_caches_that_nobody_uses_any_more_are_removed(tmp_path):
+    current, stale, used = (tmp_path / f"kernels-{digit * 16}" for digit in "abc")
+    other = tmp_path / "kernels-of-mine"
+    for folder in (current, stale, used, other):
+        folder.mkdir()
+        (folder / "x.nbi").write_text("")
+    month = time.time() - 31 * 86400.0
+    for folder in (current, stale, other):
+        os.utime(folder, (month, month))
+    jit.remove_stale(current)
+    assert current.exists()
+    assert used.exists()
+    assert other.exists()
+    assert not stale.exists()
+
+
+ON_DEMAND = """
+import sys
+import stcal.pipeline.fit, stcal.estimators.sequential
+from stcal.cameras.kernels import CAMERA_KERNELS
+from stcal.residuals.kernels import RESIDUAL_KERNELS
+CAMERA_KERNELS["wang"], RESIDUAL_KERNELS["arclength"], list(RESIDUAL_KERNELS)
+unused = ["pass", "window", "filter", "ekf", "sqrf", "cosine", "direction", "pixel_radial"]
+loaded = {name.split(".")[-1] for name in sys.modules}
+print([name for name in unused if f"{name}_kernels" in loaded])
+"""
+
+
+def test_a_batch_fit_loads_only_the_kernels_that_it_runs():
+    found = subprocess.run(
+        [sys.executable, "-c", ON_DEMAND], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert found.stdout.strip() == "[]"

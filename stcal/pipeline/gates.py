@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,7 +12,9 @@ from stcal.config import Fit, SensorConfig
 from stcal.constants import URAD
 from stcal.pipeline.cycles import Cycle
 from stcal.pipeline.estimate import Estimate, Solution
-from stcal.pipeline.filter_run import EVENTS, Run
+
+if TYPE_CHECKING:
+    from stcal.pipeline.filter_run import Run
 
 # A matched set that still moves the parameters by more than this is no fit.
 _UNSETTLED_SD = 1.0
@@ -53,6 +56,8 @@ def _too_weak(estimate: Estimate, config: SensorConfig) -> list[str]:
 
 def _watched(run: Run, config: SensorConfig) -> list[str]:
     """Return what the watch over the filter has to say."""
+    from stcal.pipeline.filter_run import EVENTS
+
     history, most = run.history, config.sequential.maximum_fallbacks
     events = np.flatnonzero(history.event)
     reasons = []

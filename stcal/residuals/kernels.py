@@ -5,12 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from stcal.residuals import (
-    arclength_kernels,
-    cosine_kernels,
-    direction_kernels,
-    singular_value_kernels,
-)
+from stcal.jit import KernelTable
 
 
 @dataclass(frozen=True)
@@ -21,9 +16,12 @@ class ResidualKernels:
     rows: Any
 
 
-RESIDUAL_KERNELS: dict[str, ResidualKernels] = {
-    "arclength": ResidualKernels(arclength_kernels.bind, arclength_kernels.rows),
-    "direction": ResidualKernels(direction_kernels.bind, direction_kernels.rows),
-    "singular-values": ResidualKernels(singular_value_kernels.bind, singular_value_kernels.rows),
-    "cosine": ResidualKernels(cosine_kernels.bind, cosine_kernels.rows),
-}
+RESIDUAL_KERNELS: KernelTable[ResidualKernels] = KernelTable(
+    {
+        "arclength": "stcal.residuals.arclength_kernels",
+        "direction": "stcal.residuals.direction_kernels",
+        "singular-values": "stcal.residuals.singular_value_kernels",
+        "cosine": "stcal.residuals.cosine_kernels",
+    },
+    lambda module: ResidualKernels(module.bind, module.rows),
+)
