@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stcal.constants import EXPOSURES_PER_FRAME
-from stcal.geometry.rotations import nearest_rotation, vector_from_matrix
+from stcal.geometry.rotations import vector_from_matrix
 
 if TYPE_CHECKING:
     from stcal.frames import MatchedFrames
@@ -24,14 +24,13 @@ def solve_wahba(
 ) -> Floats:
     """Return c_di (E, 3, 3) minimising sum w |s_d - c_di s_i|^2 for each exposure.
 
-    Parameters are columns over stars: s_d, s_i (S, 3), weight (S,), exposure (S,).  Solved by the
-    SVD of the attitude profile matrix (Markley 1988).  NaN for exposures with under two stars.
+    Parameters are columns over stars: s_d, s_i (S, 3), weight (S,), exposure (S,).  What the SVD
+    of the attitude profile matrix gives (Markley 1988).  NaN for exposures with under two stars.
     """
-    outer = weight[:, None, None] * s_d[:, :, None] * s_i[:, None, :]
-    profile = _sum_by_exposure(outer, exposure, n_exposures)
-    count = np.bincount(exposure, weight > 0, minlength=n_exposures)
-    c_di = nearest_rotation(profile)
-    c_di[count < 2] = np.nan
+    from stcal.attitude_kernels import solve_attitudes
+
+    c_di = np.empty((n_exposures, 3, 3))
+    solve_attitudes(_column(s_d), _column(s_i), _column(weight), _numbers(exposure), c_di)
     return c_di
 
 
@@ -56,24 +55,28 @@ def unweighted_covariance(s_d: Floats, sd: Floats, exposure: Ints, n_exposures: 
 
 def _information(s_d: Floats, weight: Floats, exposure: Ints, n_exposures: int) -> Floats:
     """Sum w (1 - s s^T) by exposure."""
-    terms = (np.eye(3) - s_d[:, :, None] * s_d[:, None, :]) * weight[:, None, None]
-    return _sum_by_exposure(terms, exposure, n_exposures)
+    from stcal.attitude_kernels import sum_information
 
-
-def _sum_by_exposure(terms: Floats, exposure: Ints, n_exposures: int) -> Floats:
-    """Sum matrices (S, 3, 3) by exposure (E, 3, 3)."""
-    flat = terms.reshape(-1, 9)
-    columns = [np.bincount(exposure, flat[:, k], minlength=n_exposures) for k in range(9)]
-    # Without stars bincount counts in integers.
-    return np.stack(columns, axis=1).astype(np.float64).reshape(-1, 3, 3)
+    total = np.empty((n_exposures, 3, 3))
+    sum_information(_column(s_d), _column(weight), _numbers(exposure), total)
+    return total
 
 
 def _inverse(total: Floats) -> Floats:
-    eigenvalue = np.linalg.eigvalsh(total)
-    good = eigenvalue[:, 0] > 1e-12 * np.maximum(eigenvalue[:, 2], 1e-300)
-    covariance = np.full(total.shape, np.nan)
-    covariance[good] = np.linalg.inv(total[good])
+    from stcal.attitude_kernels import invert_each
+
+    covariance = np.empty_like(total)
+    invert_each(total, covariance)
     return covariance
+
+
+def _column(values: Floats) -> Floats:
+    """Return an array as the kernels take them, of one layout."""
+    return np.require(values, np.float64, ["C", "W"])
+
+
+def _numbers(values: Ints) -> Ints:
+    return np.require(values, np.int64, ["C", "W"])
 
 
 def residual_angles(s_d: Floats, s_i: Floats, c_di: Floats) -> Floats:

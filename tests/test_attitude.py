@@ -12,6 +12,7 @@ from stcal.attitude import (
     solve_wahba,
     unweighted_covariance,
 )
+from stcal.geometry.rotations import nearest_rotation
 from stcal.matching import match
 
 
@@ -45,6 +46,64 @@ def test_wahba_returns_proper_rotations_for_two_stars():
     s_i = Rotation.random(20, rng=rng)[exposure].inv().apply(s_d)
     found = solve_wahba(s_d, s_i, np.ones(40), exposure, 20)
     np.testing.assert_allclose(np.linalg.det(found), 1.0, atol=1e-12)
+
+
+def needle(rng, count):
+    """Stars on a line across the field, and one a little beside it."""
+    v = np.column_stack([np.linspace(-0.1, 0.15, count), np.full(count, 0.02), np.ones(count)])
+    v[0, 1] += 1e-3
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
+
+
+def sphere(rng, count):
+    v = rng.normal(size=(count, 3))
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize(
+    ("stars", "noise"),
+    [
+        (lambda rng: field(rng, 10), 1e-4),
+        (lambda rng: field(rng, 2), 1e-4),
+        (lambda rng: field(rng, 2, 1e-3), 1e-6),
+        (lambda rng: needle(rng, 5), 1e-4),
+        (lambda rng: sphere(rng, 2), 1e-3),
+        (lambda rng: sphere(rng, 20), 1e-2),
+        (lambda rng: np.vstack([np.eye(3), -np.eye(3)]), 1e-3),
+        # False stars: the best attitude may be a reflection but for the determinant.
+        (lambda rng: field(rng, 5), 0.2),
+        (lambda rng: sphere(rng, 6), 1.0),
+    ],
+)
+def test_wahba_is_the_svds_solution(stars, noise):
+    """To 1e-12 rad, or to what rounding of the profile itself does to close stars."""
+    rng = np.random.default_rng(9)
+    sets = [stars(rng) for _ in range(200)]
+    exposure = np.repeat(np.arange(200), [len(s) for s in sets])
+    s_d, weight = np.concatenate(sets), rng.uniform(0.5, 2.0, len(exposure))
+    s_i = Rotation.random(200, rng=rng)[exposure].inv().apply(s_d)
+    s_i += rng.normal(0, noise, s_i.shape)
+    s_i /= np.linalg.norm(s_i, axis=1, keepdims=True)
+    profile = np.zeros((200, 3, 3))
+    np.add.at(profile, exposure, weight[:, None, None] * s_d[:, :, None] * s_i[:, None, :])
+    values = np.linalg.svd(profile, compute_uv=False)
+    values[:, 2] *= np.sign(np.linalg.det(profile))
+    rounding = 4.0 * np.finfo(float).eps * values[:, 0] / (values[:, 1] + values[:, 2])
+    found = solve_wahba(s_d, s_i, weight, exposure, 200)
+    apart = np.linalg.norm(found - nearest_rotation(profile), axis=(1, 2))
+    assert (apart < np.maximum(1e-12, rounding)).all()
+    np.testing.assert_allclose(np.linalg.det(found), 1.0, atol=1e-14)
+
+
+def test_covariance_is_the_inverse_information_or_nan():
+    rng = np.random.default_rng(10)
+    s_d = np.concatenate([field(rng, 6), field(rng, 1), np.tile(field(rng, 1), (2, 1))])
+    exposure = np.array([0] * 6 + [1] + [2] * 2)
+    sd = rng.uniform(1e-5, 1e-4, len(s_d))
+    found = attitude_covariance(s_d, sd, exposure, 4)
+    total = sum((np.eye(3) - np.outer(s, s)) / e**2 for s, e in zip(s_d[:6], sd[:6], strict=True))
+    np.testing.assert_allclose(found[0] @ total, np.eye(3), atol=1e-12)
+    assert np.isnan(found[1:]).all()
 
 
 def test_covariance_matches_monte_carlo():

@@ -7,7 +7,7 @@ PACKAGE = Path(__file__).parents[1] / "stcal"
 LAYERS = [
     {"constants", "errors", "version", "atomic", "reading", "jit"},
     {"geometry", "frames", "times", "units"},
-    {"cameras", "catalog", "attitude"},
+    {"cameras", "catalog", "attitude", "attitude_kernels"},
     {"config", "calibration"},
     {"matching", "residuals", "execution"},
     {"estimators", "metrics"},

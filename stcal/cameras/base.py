@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,12 +122,17 @@ class Camera:
         )  # fmt: skip
         return table
 
+    @cached_property
+    def slope_table(self) -> Floats:
+        """(N, N, P) the table of ``noise_slope_table``, made once for all fragments."""
+        return self.noise_slope_table()
+
     def noise_scale_slopes(self, m: Floats, n: Floats) -> Floats:
         """Return (S, P) derivatives of log(noise_scale) by the parameters, from the table."""
         from stcal.cameras.noise_kernels import slopes_at
 
         out = np.empty((len(m), len(self.parameters)))
-        slopes_at(self.noise_slope_table(), self.rows, self.cols, m, n, out)
+        slopes_at(self.slope_table, self.rows, self.cols, m, n, out)
         return out
 
     def project(self, s_d: Floats) -> tuple[Floats, Floats]:

@@ -14,15 +14,21 @@ _STEP_RAD = 1e-4
 
 
 @kernel
+def noise_scale(by_pixel, k):
+    """Return the direction error [rad] per pixel of centroid error of star k, as Camera's."""
+    total = 0.0
+    for i in range(3):
+        total += by_pixel[k, i, 0] * by_pixel[k, i, 0] + by_pixel[k, i, 1] * by_pixel[k, i, 1]
+    return math.sqrt(0.5 * total)
+
+
+@kernel
 def _log_noise(camera, x, pixel_size_m, m, n, by_parameter, out):
     """Fill the logarithm of the direction error (K,) per pixel of centroid error, and ds/dx."""
     s_d, by_pixel = np.empty((m.shape[0], 3)), np.empty((m.shape[0], 3, 2))
     camera(x, pixel_size_m, m, n, s_d, by_parameter, by_pixel)
     for k in range(m.shape[0]):
-        total = 0.0
-        for i in range(3):
-            total += by_pixel[k, i, 0] ** 2 + by_pixel[k, i, 1] ** 2
-        out[k] = 0.5 * math.log(0.5 * total)
+        out[k] = math.log(noise_scale(by_pixel, k))
 
 
 def _slope_table(camera, x, pixel_size_m, rows, cols, table):

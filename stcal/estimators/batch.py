@@ -15,6 +15,8 @@ Linearise = Callable[[Floats], SquareRootInformation]
 
 _ITERATIONS = 60
 _DAMPING_START = 1e-6
+# Below this damping shortens no step worth mentioning: what a rejected step is tried again with.
+_DAMPING_FELT = 1e-2
 _DAMPING_LIMIT = 1e12
 # Steps below this part of a parameter's sd don't matter to anyone.
 _STEP_SD = 1e-3
@@ -68,7 +70,7 @@ def levenberg_marquardt(linearise: Linearise, start: Floats, scale: Floats) -> B
             converged = True
             break
         else:
-            damping *= 10.0
+            damping = max(10.0 * damping, _DAMPING_FELT)
             if damping > _DAMPING_LIMIT:
                 break
     return BatchSolution(x, here, here.chi2, accepted, converged)

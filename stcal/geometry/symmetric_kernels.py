@@ -1,4 +1,4 @@
-"""Eigenvalues and eigenvectors of symmetric 3 x 3 matrices (numba)."""
+"""Eigenvalues, eigenvectors and inverses of symmetric 3 x 3 matrices (numba)."""
 
 from __future__ import annotations
 
@@ -53,3 +53,14 @@ def _rotate_pair(a, vectors, p, q):
     for k in range(3):
         left, right = vectors[k, p], vectors[k, q]
         vectors[k, p], vectors[k, q] = c * left - s * right, s * left + c * right
+
+
+@kernel
+def adjugate3(a, out):
+    """Fill the adjugate (3, 3) of ``a``, the inverse times the determinant; return the latter."""
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        for p in range(3):
+            q, r = (p + 1) % 3, (p + 2) % 3
+            out[p, i] = a[j, q] * a[k, r] - a[j, r] * a[k, q]
+    return a[0, 0] * out[0, 0] + a[0, 1] * out[1, 0] + a[0, 2] * out[2, 0]

@@ -13,7 +13,7 @@ from stcal.calibration import Calibration
 from stcal.cameras import Camera
 from stcal.config import SensorConfig
 from stcal.estimators.batch import BatchSolution, levenberg_marquardt
-from stcal.estimators.information import SquareRootInformation, merge, reduce_rows
+from stcal.estimators.information import SquareRootInformation, merge
 from stcal.execution import OrderedMap
 from stcal.frames import FrameBatch, MatchedFrames
 from stcal.matching import Matcher, match
@@ -217,5 +217,4 @@ def information_at(
 
 
 def _reduce(bound: BoundResidual, camera: Camera, free: Ints) -> SquareRootInformation:
-    rows = bound.linearise(camera)
-    return reduce_rows(rows[:, np.append(free, rows.shape[1] - 1)], bound.rows)
+    return SquareRootInformation(bound.reduce(camera, free), bound.rows)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from stcal.cameras import Camera
 from stcal.errors import UsageError
 from stcal.residuals.arclength import BoundArclength, bind_arclength
-from stcal.residuals.bound import BoundResidual, bound_arrays
+from stcal.residuals.bound import BoundResidual, bind_blocks
 from stcal.residuals.selection import StarSelection, select_stars
 
 Floats = NDArray[np.float64]
@@ -73,8 +73,8 @@ class Residual:
         """Bind to matched stars; the camera gives the noise in rad."""
         if self.name == "arclength":
             return bind_arclength(selection, camera)
-        arrays = bound_arrays(self.name, selection, camera, self.options)
-        return BoundResidual(selection, self.name, *arrays)
+        blocks = bind_blocks(self.name, selection, camera, self.options)
+        return BoundResidual(selection, self.name, blocks)
 
 
 ARCLENGTH = Residual()

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stcal.cameras import Camera
-from stcal.residuals.bound import BoundResidual, bound_arrays
+from stcal.residuals.bound import BoundResidual, bind_blocks
 from stcal.residuals.selection import StarSelection
 
 Floats = NDArray[np.float64]
@@ -17,19 +18,38 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class BoundArclength(BoundResidual):
-    """Arcs of a selection with their whitening; what the performance metrics are made of too.
+    """Arcs of a selection with their whitening; what the performance metrics are made of too."""
 
-    Attributes
-    ----------
-    pair_i, pair_j : (A,) the two stars of each arc, indices into the selection
-    starts : (A,) first row of the arc's exposure
-    arc : (A,) rad, separation by the catalogue, eq (10)
-    """
+    @cached_property
+    def pair_i(self) -> Ints:
+        """(A,) the first star of each arc, an index into the selection."""
+        return self._joined(0, [block.first for block in self.blocks])
 
-    pair_i: Ints
-    pair_j: Ints
-    starts: Ints
-    arc: Floats
+    @cached_property
+    def pair_j(self) -> Ints:
+        """(A,) the second star of each arc."""
+        return self._joined(1, [block.first for block in self.blocks])
+
+    @cached_property
+    def starts(self) -> Ints:
+        """(A,) first row of the arc's exposure."""
+        before = np.cumsum([0] + [int(block.ints[0]) for block in self.blocks])
+        return self._joined(2, before[:-1].tolist())
+
+    def _joined(self, which: int, shifts: list[int]) -> Ints:
+        """Join one of the blocks' columns of numbers, which count from the block's own first."""
+        from stcal.residuals.arclength_kernels import arc_stars
+
+        parts = [
+            arc_stars(block.ints)[which] + shift
+            for block, shift in zip(self.blocks, shifts, strict=True)
+        ]
+        return np.concatenate([np.empty(0, np.int64), *parts])
+
+    @cached_property
+    def arc(self) -> Floats:
+        """(A,) rad, separation by the catalogue, eq (10)."""
+        return separations(self.selection.s_i[self.pair_i], self.selection.s_i[self.pair_j])
 
     def departures(self, camera: Camera) -> Floats:
         """Return the arclength errors (A,) in rad, unweighted, eq (12)."""
@@ -49,9 +69,5 @@ def bind_arclength(selection: StarSelection, camera: Camera) -> BoundArclength:
 
     The noise in rad is that of the camera given, and how it changes with the parameters.
     """
-    from stcal.residuals.arclength_kernels import arc_stars
-
-    ints, floats = bound_arrays("arclength", selection, camera, np.empty(0))
-    pair_i, pair_j, starts = arc_stars(ints)
-    arc = separations(selection.s_i[pair_i], selection.s_i[pair_j])
-    return BoundArclength(selection, "arclength", ints, floats, pair_i, pair_j, starts, arc)
+    blocks = bind_blocks("arclength", selection, camera, np.empty(0))
+    return BoundArclength(selection, "arclength", blocks)

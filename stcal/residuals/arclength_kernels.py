@@ -1,4 +1,4 @@
-"""Ordering, covariance and whitening of arclengths, exposure by exposure (numba)."""
+"""Residual ``arclength``: covariance and whitening, exposure by exposure (numba)."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ import numpy as np
 
 from stcal.jit import kernel, pointer
 from stcal.residuals.contract_kernels import BIND, ROWS, noise_change
+from stcal.residuals.ordering_kernels import count_pairs, order_stars
 
 # Rows k and l of an exposure share a star only when |k - l| <= 4.
 BAND = 4
-# A triple with a smallest angle below this (sine) makes its arcs nearly dependent.
-_FLAT = 0.2
 # A pivot below this part of its variance is a dependent arclength: what it would add lies below
 # the second-order terms that R leaves out.
 _DEPENDENT = 1e-3
@@ -29,89 +28,12 @@ def distance2(s, i, j):
 
 
 @kernel
-def flatness2(s, i, j, k):
-    """Square of the sine of a triangle's smallest angle: 0 for collinear stars, and for needles."""
-    volume = (
-        s[i, 0] * (s[j, 1] * s[k, 2] - s[j, 2] * s[k, 1])
-        + s[i, 1] * (s[j, 2] * s[k, 0] - s[j, 0] * s[k, 2])
-        + s[i, 2] * (s[j, 0] * s[k, 1] - s[j, 1] * s[k, 0])
-    )
-    p, q, r = distance2(s, i, j), distance2(s, j, k), distance2(s, i, k)
-    shortest = min(p, q, r)
-    return volume * volume * shortest / (p * q * r) if shortest > 0.0 else 0.0
-
-
-@kernel
-def _flattest(s, order, floor):
-    """Return the flattest triple's squared sine and its place; any below ``floor`` will do."""
-    worst, where = 2.0, 0
-    for k in range(order.shape[0] - 2):
-        q = flatness2(s, order[k], order[k + 1], order[k + 2])
-        if q < worst:
-            worst, where = q, k
-            if worst <= floor:
-                break
-    return worst, where
-
-
-@kernel
-def _order_one(s, order):
-    """Greedy: the next star makes the least flat triple; then swaps mend the flattest."""
-    n = order.shape[0]
-    for k in range(2, n - 1):
-        best, pick = -1.0, k
-        for j in range(k, n):
-            q = flatness2(s, order[k - 2], order[k - 1], order[j])
-            if q > best:
-                best, pick = q, j
-        order[k], order[pick] = order[pick], order[k]
-    worst, where = _flattest(s, order, 0.0)
-    for _ in range(n):
-        if worst >= _FLAT * _FLAT:
-            break
-        better, at, other = worst, -1, -1
-        for i in range(where, where + 3):
-            for j in range(n):
-                order[i], order[j] = order[j], order[i]
-                now, _ = _flattest(s, order, better)
-                if now > better:
-                    better, at, other = now, i, j
-                order[i], order[j] = order[j], order[i]
-        if at < 0:
-            break
-        order[at], order[other] = order[other], order[at]
-        worst, where = _flattest(s, order, 0.0)
-
-
-@kernel
-def order_stars(offsets, s_i, order):
-    """Number the stars of each exposure so that no three in sequence are collinear.
-
-    Enright 2018 section II-B; ``order`` (K,) is filled with indices into the selection.
-    """
-    for x in range(offsets.shape[0] - 1):
-        first, last = offsets[x], offsets[x + 1]
-        local = np.arange(last - first)
-        _order_one(s_i[first:last], local)
-        order[first:last] = first + local
-
-
-@kernel
 def _tangent(s, i, j, out, row, side):
     """Write the unit tangent at star i towards star j to ``out[row, side]``."""
     d = s[i, 0] * s[j, 0] + s[i, 1] * s[j, 1] + s[i, 2] * s[j, 2]
     x, y, z = s[j, 0] - d * s[i, 0], s[j, 1] - d * s[i, 1], s[j, 2] - d * s[i, 2]
     scale = 1.0 / math.sqrt(x * x + y * y + z * z)
     out[row, side, 0], out[row, side, 1], out[row, side, 2] = scale * x, scale * y, scale * z
-
-
-@kernel
-def count_pairs(offsets):
-    """Return how many pairs the exposures have, 2 N - 3 each."""
-    count = 0
-    for x in range(offsets.shape[0] - 1):
-        count += max(2 * (offsets[x + 1] - offsets[x]) - 3, 0)
-    return count
 
 
 @kernel
@@ -126,7 +48,8 @@ def factor(offsets, s_i, order, sd, pair_i, pair_j, lower):
     # Unit tangents of each arc at its two stars, towards the other one.
     tangent = np.empty((pair_i.shape[0], 2, 3))
     dropped = 0
-    row = 0
+    # From a plain 0 what takes a row would be compiled twice.
+    row = np.int64(0)
     for x in range(offsets.shape[0] - 1):
         first, last = offsets[x], offsets[x + 1]
         start = row
@@ -136,8 +59,9 @@ def factor(offsets, s_i, order, sd, pair_i, pair_j, lower):
                     continue
                 a, b = order[i], order[i + step]
                 pair_i[row], pair_j[row] = a, b
-                _tangent(s_i, a, b, tangent, row, 0)
-                _tangent(s_i, b, a, tangent, row, 1)
+                for side in range(2):
+                    here, there = (a, b) if side == 0 else (b, a)
+                    _tangent(s_i, here, there, tangent, row, side)
                 lower[row, BAND] = sd[a] * sd[a] + sd[b] * sd[b]
                 for d in range(1, BAND + 1):
                     value = 0.0
@@ -212,7 +136,7 @@ def bind(offsets, s_i, sd, star_slope, reference, options):
     order_stars(offsets, s_i, order)
     count = count_pairs(offsets)
     ints = np.empty(2 + 3 * count, np.int64)
-    floats = np.zeros(count * (BAND + 2 + parameters) + parameters)
+    floats = np.empty(count * (BAND + 2 + parameters) + parameters)
     ints[0] = count
     pair_i, pair_j, starts = arc_stars(ints)
     lower, arc, slope, kept = arc_tables(ints, floats, parameters)
@@ -245,14 +169,16 @@ def rows(ints, floats, parameters, s_d, by_parameter, out):
     last = by_parameter.shape[2]
     for row in range(ints[0]):
         i, j = pair_i[row], pair_j[row]
-        arc = 2.0 * math.asin(min(1.0, 0.5 * math.sqrt(distance2(s_d, i, j))))
-        sine, scale = math.sin(arc), noise_change(slope, row, parameters, reference)
+        half = min(1.0, 0.5 * math.sqrt(distance2(s_d, i, j)))
+        departure = 2.0 * math.asin(half) - arc_true[row]
+        sine = 2.0 * half * math.sqrt(1.0 - half * half)
+        weight = 1.0 / noise_change(slope, row, parameters, reference)
         for p in range(last):
             value = 0.0
             for a in range(3):
                 value += by_parameter[j, a, p] * s_d[i, a] + by_parameter[i, a, p] * s_d[j, a]
-            out[row, p] = (-value / sine - (arc - arc_true[row]) * slope[row, p]) / scale
-        out[row, last] = (arc - arc_true[row]) / scale
+            out[row, p] = weight * (-value / sine - departure * slope[row, p])
+        out[row, last] = weight * departure
         for k in range(max(starts[row], row - BAND), row):
             weight = lower[row, BAND - (row - k)]
             if weight != 0.0:

@@ -13,8 +13,8 @@ import math
 import numpy as np
 
 from stcal.jit import pointer
-from stcal.residuals.arclength_kernels import count_pairs, order_stars
 from stcal.residuals.contract_kernels import BIND, ROWS, noise_change
+from stcal.residuals.ordering_kernels import count_pairs, order_stars
 
 
 @pointer(BIND)

@@ -12,11 +12,12 @@ import math
 
 import numpy as np
 
+from stcal.geometry.tangent_kernels import tangents
 from stcal.jit import kernel, pointer
 from stcal.matching.seed_kernels import two_vector_attitude
 from stcal.matching.verify_kernels import refine_attitude, rotate, rotate_back
-from stcal.residuals.arclength_kernels import count_pairs
 from stcal.residuals.contract_kernels import BIND, ROWS, noise_change
+from stcal.residuals.ordering_kernels import count_pairs
 
 
 @kernel
@@ -43,21 +44,6 @@ def attitude_of(s, target, c):
     two_vector_attitude(s[i0], s[j0], target[i0], target[j0], c)
     refine_attitude(s, target, star, c)
     refine_attitude(s, target, star, c)
-
-
-@kernel
-def _tangents(b, t):
-    """Fill two unit vectors (2, 3) perpendicular to the direction b and to each other."""
-    least = 0
-    for i in range(1, 3):
-        if abs(b[i]) < abs(b[least]):
-            least = i
-    norm = math.sqrt(1.0 - b[least] * b[least])
-    for i in range(3):
-        t[0, i] = ((1.0 if i == least else 0.0) - b[least] * b[i]) / norm
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        t[1, i] = b[j] * t[0, k] - b[k] * t[0, j]
 
 
 @kernel
@@ -110,7 +96,7 @@ def _exposure(a, b, s_d, s_i, sd, slope, parameters, reference, by_parameter):
     t, t_d, measured = np.empty((2, 3)), np.empty(3), np.empty(3)
     for k in range(a, b):
         rotate_back(c, s_d[k], measured)
-        _tangents(s_i[k], t)
+        tangents(s_i[k], t)
         for side in range(2):
             row = 2 * (k - a) + side
             value = 0.0

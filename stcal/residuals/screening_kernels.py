@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from stcal.geometry.symmetric_kernels import adjugate3
 from stcal.jit import kernel
 from stcal.matching.verify_kernels import refine_attitude, rotate
 
@@ -76,12 +77,7 @@ def _attitude_normal(s, sd, kept, normal, middle):
 @kernel
 def _invert(a, out):
     """Invert a symmetric 3 x 3 matrix; returns False when it is singular."""
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        for p in range(3):
-            q, r = (p + 1) % 3, (p + 2) % 3
-            out[p, i] = a[j, q] * a[k, r] - a[j, r] * a[k, q]
-    det = a[0, 0] * out[0, 0] + a[0, 1] * out[1, 0] + a[0, 2] * out[2, 0]
+    det = adjugate3(a, out)
     if not abs(det) > 1e-12:
         return False
     out[:, :] /= det

@@ -8,7 +8,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from stcal.attitude import attitude_covariance, residual_angles, solve_wahba
 from stcal.cameras import Camera
 from stcal.config import Noise
 from stcal.frames import MatchedFrames
@@ -16,8 +15,6 @@ from stcal.frames import MatchedFrames
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-# A star that the attitude follows almost wholly tells little about itself.
-_LEAST_FREEDOM = 0.1
 # Median of the Rayleigh distribution with unit sd per axis.
 _RAYLEIGH_MEDIAN = float(np.sqrt(2.0 * np.log(2.0)))
 
@@ -53,16 +50,17 @@ class StarSelection:
     def keep(self, mask: NDArray[np.bool_], minimum: int) -> StarSelection:
         """Return the kept stars of the exposures that still have ``minimum`` of them."""
         count = np.bincount(self.exposure[mask], minlength=self.n_exposures)
-        mask = mask & (count >= minimum)[self.exposure]
-        number, exposure = np.unique(self.exposure[mask], return_inverse=True)
+        used = (count > 0) & (count >= minimum)
+        mask = mask & used[self.exposure]
+        number = np.cumsum(used) - 1
         return StarSelection(
             self.star[mask],
-            exposure.astype(np.int64),
+            number[self.exposure[mask]],
             self.row_px[mask],
             self.col_px[mask],
             self.s_i[mask],
             self.sd_px[mask],
-            len(number),
+            int(used.sum()),
         )
 
 
@@ -101,16 +99,7 @@ def star_departures(selection: StarSelection, camera: Camera) -> Floats:
     Studentised: the attitude follows each of its stars a little, a far one among four a good deal,
     so that E|r|^2 = 2 sd^2 - tr(P (1 - s s^T)) with P the attitude's covariance.
     """
-    if len(selection.star) == 0:
-        return np.empty(0)
-    s_d = camera.directions(selection.row_px, selection.col_px)
-    sd = selection.sd_px * camera.noise_scale(selection.row_px, selection.col_px)
-    c_di = solve_wahba(s_d, selection.s_i, sd**-2.0, selection.exposure, selection.n_exposures)
-    angle = residual_angles(s_d, selection.s_i, c_di[selection.exposure])
-    p = attitude_covariance(s_d, sd, selection.exposure, selection.n_exposures)[selection.exposure]
-    followed = np.trace(p, axis1=1, axis2=2) - np.einsum("ki,kij,kj->k", s_d, p, s_d)
-    expected = np.maximum(1.0 - 0.5 * followed / (sd * sd), _LEAST_FREEDOM)
-    return np.asarray(angle / sd / np.sqrt(expected))
+    return _judged(selection, camera, np.inf, 0)[1]
 
 
 def robust_scale(departures: Floats) -> float:
@@ -125,12 +114,21 @@ def reject_outliers(
 
     One at a time, because a gross centroid bends the attitude that judges its neighbours.
     """
-    for _ in range(int(np.diff(selection.offsets).max(initial=0))):
-        departure = star_departures(selection, camera)
-        worst = np.zeros(selection.n_exposures)
-        np.maximum.at(worst, selection.exposure, departure)
-        out = (departure > sigma * scale) & (departure == worst[selection.exposure])
-        if not out.any():
-            break
-        selection = selection.keep(~out, minimum)
-    return selection
+    kept, _ = _judged(selection, camera, sigma * scale, minimum)
+    return selection if kept.all() else selection.keep(kept, minimum)
+
+
+def _judged(
+    selection: StarSelection, camera: Camera, limit: float, minimum: int
+) -> tuple[NDArray[np.bool_], Floats]:
+    """Return which stars (K,) lie within ``limit``, and the departures (K,) that tell."""
+    from stcal.cameras.kernels import CAMERA_KERNELS
+    from stcal.residuals.outlier_kernels import judge_stars
+
+    kept, departure = np.ones(len(selection.star), dtype=bool), np.empty(len(selection.star))
+    judge_stars(
+        CAMERA_KERNELS[camera.model.name], camera.parameters, camera.pixel_size_m,
+        selection.offsets, selection.row_px, selection.col_px,
+        np.ascontiguousarray(selection.s_i), selection.sd_px, limit, minimum, kept, departure,
+    )  # fmt: skip
+    return kept, departure

@@ -127,8 +127,9 @@ def _sequential(
 
 
 def _bound_bytes(bound: BoundResidual, parameters: int) -> int:
-    rows = int(bound.ints[0]) * (parameters + 1) * np.dtype(np.float64).itemsize
-    return _array_bytes(bound) + _array_bytes(bound.selection) + rows
+    rows = bound.size * (parameters + 1) * np.dtype(np.float64).itemsize
+    held = sum(_array_bytes(item) for item in (bound, bound.selection, *bound.blocks))
+    return held + rows
 
 
 def _array_bytes(item: Any) -> int:

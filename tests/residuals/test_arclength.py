@@ -7,7 +7,8 @@ from conftest import simulation, st16_config, st16_matcher
 from stcal.matching import match
 from stcal.residuals import select_stars
 from stcal.residuals.arclength import bind_arclength, separations
-from stcal.residuals.arclength_kernels import arc_tables, flatness2
+from stcal.residuals.arclength_kernels import arc_tables
+from stcal.residuals.ordering_kernels import flatness2
 from stcal.residuals.selection import StarSelection
 
 SIGMA = np.array([8e-6, 30.0, 30.0, 1e8, 1e3, 0.01, 0.01, 2e-4])
@@ -28,6 +29,12 @@ def selection(data):
 @pytest.fixture(scope="module")
 def bound(data, selection):
     return bind_arclength(selection, data.true.camera)
+
+
+def tables(bound, parameters):
+    """What ``bind`` has made of a selection of one block."""
+    (block,) = bound.blocks
+    return arc_tables(block.ints, block.floats, parameters)
 
 
 def dense_covariance(bound, camera):
@@ -70,9 +77,8 @@ def test_no_three_stars_in_sequence_are_collinear(bound):
     for k in range(len(bound.pair_i) - 1):
         same = bound.starts[k] == bound.starts[k + 1] and bound.pair_i[k] == bound.pair_i[k + 1]
         if same:
-            flat.append(
-                np.sqrt(flatness2(s, bound.pair_i[k], bound.pair_j[k], bound.pair_j[k + 1]))
-            )
+            i, j, l = bound.pair_i[k], bound.pair_j[k], bound.pair_j[k + 1]  # noqa: E741
+            flat.append(np.sqrt(flatness2(*s[i], *s[j], *s[l])))
     assert np.median(flat) > 0.3
     assert np.mean(np.array(flat) < 0.02) < 0.01
 
@@ -80,7 +86,7 @@ def test_no_three_stars_in_sequence_are_collinear(bound):
 def test_whitening_is_the_inverse_cholesky_factor_of_r(bound, data):
     camera = data.initial.camera
     R = dense_covariance(bound, data.true.camera)
-    lower, _, slope, reference = arc_tables(bound.ints, bound.floats, len(camera.parameters))
+    lower, _, slope, reference = tables(bound, len(camera.parameters))
     keep = np.isfinite(lower[:, -1])
     root = np.linalg.cholesky(R[np.ix_(keep, keep)])
     s, by_parameter, _ = camera.jacobian(bound.selection.row_px, bound.selection.col_px)
@@ -187,11 +193,11 @@ def test_the_noise_in_rad_follows_the_camera(bound, data):
         star = sel.sd_px * camera.noise_scale(sel.row_px, sel.col_px)
         return np.hypot(star[i], star[j])
 
-    _, _, slope, reference = arc_tables(bound.ints, bound.floats, len(true))
+    _, _, slope, reference = tables(bound, len(true))
     scale = np.exp(slope @ (other.parameters - reference))
     np.testing.assert_allclose(scale, sd(other) / sd(data.true.camera), rtol=1e-3)
     assert np.ptp(scale) > 2e-3
-    np.testing.assert_allclose(arc_tables(again.ints, again.floats, len(true))[3], other.parameters)
+    np.testing.assert_allclose(tables(again, len(true))[3], other.parameters)
 
 
 def test_noise_does_not_bias_the_gradient():
@@ -208,8 +214,10 @@ def test_noise_does_not_bias_the_gradient():
         bound = bind_arclength(
             replace(stars, row_px=row, col_px=col, sd_px=np.full(len(m), 4.0)), camera
         )
-        fixed = replace(bound, floats=bound.floats.copy())
-        arc_tables(fixed.ints, fixed.floats, 8)[2][:] = 0.0
+        blocks = tuple(replace(b, floats=b.floats.copy()) for b in bound.blocks)
+        for block in blocks:
+            arc_tables(block.ints, block.floats, 8)[2][:] = 0.0
+        fixed = replace(bound, blocks=blocks)
         for name, one in (("following", bound), ("fixed", fixed)):
             rows = one.linearise(camera)
             H, r = rows[:, :8] * SIGMA, rows[:, 8]

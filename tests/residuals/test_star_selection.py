@@ -5,6 +5,7 @@ import pytest
 from conftest import simulation, st16_config, st16_matcher
 
 from stcal.config import Noise
+from stcal.geometry.rotations import nearest_rotation
 from stcal.matching import match
 from stcal.residuals.selection import (
     centroid_sd,
@@ -54,6 +55,61 @@ def test_gross_centroids_are_rejected_and_others_kept(data):
     assert np.isin(kept.star, moved).sum() <= 1
     lost = np.setdiff1d(np.intersect1d(clean, selection.star), np.append(kept.star, moved))
     assert len(lost) < 0.03 * len(selection.star)
+
+
+def departures_by_svd(selection, camera):
+    """Studentised departures, exposure by exposure, straight from the formulas."""
+    s_d = camera.directions(selection.row_px, selection.col_px)
+    sd = selection.sd_px * camera.noise_scale(selection.row_px, selection.col_px)
+    out = np.empty(len(sd))
+    for a, b in zip(selection.offsets[:-1], selection.offsets[1:], strict=True):
+        s, w = s_d[a:b], sd[a:b] ** -2.0
+        c = nearest_rotation((s.T * w) @ selection.s_i[a:b])
+        p = np.linalg.inv(np.eye(3) * w.sum() - (s.T * w) @ s)
+        followed = np.trace(p) - np.einsum("ki,ij,kj->k", s, p, s)
+        angle = np.linalg.norm(s - selection.s_i[a:b] @ c.T, axis=1)
+        out[a:b] = angle / sd[a:b] / np.sqrt(np.maximum(1.0 - 0.5 * followed * w, 0.1))
+    return out
+
+
+def spoilt(data, count):
+    """A selection with ``count`` centroids off, and five stars in every fourth exposure."""
+    selection = select_stars(matched(data, data.calibration.frames), st16_config().noise, 4)
+    place = np.arange(len(selection.star)) - selection.offsets[selection.exposure]
+    selection = selection.keep((selection.exposure % 4 > 0) | (place < 5), 4)
+    row = selection.row_px.copy()
+    moved = np.random.default_rng(2).choice(len(row), count, replace=False)
+    row[moved] += 8.0
+    return replace(selection, row_px=row)
+
+
+def test_departures_are_those_by_svd(data):
+    selection, camera = spoilt(data, 20), data.initial.camera
+    expected = departures_by_svd(selection, camera)
+    np.testing.assert_allclose(star_departures(selection, camera), expected, rtol=1e-7)
+
+
+def test_the_worst_star_of_each_exposure_goes_first(data):
+    """Round by round over all exposures, as one would by hand."""
+    selection, camera = spoilt(data, 60), data.true.camera
+    found = reject_outliers(selection, camera, 4.0, 1.1, 4)
+    for _ in range(30):
+        departure = departures_by_svd(selection, camera)
+        worst = np.maximum.reduceat(departure, selection.offsets[:-1])[selection.exposure]
+        out = (departure > 4.0 * 1.1) & (departure == worst)
+        if not out.any():
+            break
+        selection = selection.keep(~out, 4)
+    assert np.array_equal(found.star, selection.star)
+    assert np.array_equal(found.exposure, selection.exposure)
+    assert found.n_exposures == selection.n_exposures
+
+
+def test_nothing_is_left_out_of_nothing(data):
+    selection = select_stars(matched(data, data.calibration.frames), st16_config().noise, 99)
+    assert selection.n_exposures == 0
+    assert len(star_departures(selection, data.true.camera)) == 0
+    assert reject_outliers(selection, data.true.camera, 5.0, 1.0, 4) is selection
 
 
 def test_noise_models():

@@ -1,0 +1,70 @@
+"""The factor of a fragment, folded block by block, is that of its whitened rows."""
+
+import numpy as np
+import pytest
+from conftest import simulation, st16_config, st16_matcher
+
+from stcal.matching import match
+from stcal.residuals import RESIDUALS, Residual, bound, select_stars
+from stcal.residuals.block_kernels import fold
+
+SIGMA = np.array([8e-6, 30.0, 30.0, 1e8, 1e3, 0.01, 0.01, 2e-4])
+
+
+@pytest.fixture(scope="module")
+def data():
+    return simulation(4, 21, 60)
+
+
+@pytest.fixture(scope="module")
+def stars(data):
+    matched = match(data.calibration.frames, data.true.camera, np.eye(3), st16_matcher())
+    return select_stars(matched, st16_config().noise, 4)
+
+
+@pytest.mark.parametrize("name", RESIDUALS)
+@pytest.mark.parametrize("free", [np.arange(8), np.array([0, 3, 7])])
+def test_the_factor_is_that_of_the_rows(data, stars, name, free, monkeypatch):
+    """At a camera other than the one bound at, over blocks that don't divide the exposures."""
+    whole = Residual(name).bind(stars, data.true.camera)
+    monkeypatch.setattr(bound, "_EXPOSURES", 7)
+    blocks = Residual(name).bind(stars, data.true.camera)
+    assert len(blocks.blocks) > 10
+    assert (blocks.rows, blocks.dependent) == (whole.rows, whole.dependent)
+    camera = data.initial.camera
+    rows = whole.linearise(camera)
+    np.testing.assert_array_equal(blocks.linearise(camera), rows)
+    scale = np.append(SIGMA, 1.0)[np.append(free, 8)]
+    expected = np.linalg.qr(rows[:, np.append(free, 8)] * scale, mode="r")
+    for some in (whole, blocks):
+        factor = some.reduce(camera, free) * scale
+        assert not np.tril(factor, -1).any()
+        signs = np.sign(np.diag(factor)) * np.sign(np.diag(expected))
+        size = np.abs(expected).max(axis=0)
+        np.testing.assert_allclose(signs[:, None] * factor / size, expected / size, atol=1e-11)
+
+
+def test_reduction_is_bitwise_repeatable(data, stars):
+    for _ in range(2):
+        factors = [
+            Residual().bind(stars, data.true.camera).reduce(data.initial.camera, np.arange(8))
+            for _ in range(2)
+        ]
+        assert np.array_equal(*factors)
+
+
+def test_nothing_gives_a_factor_of_zeros(data, stars):
+    none = stars.keep(np.zeros(len(stars.star), dtype=bool), 4)
+    assert not Residual().bind(none, data.true.camera).reduce(data.true.camera, np.arange(8)).any()
+
+
+@pytest.mark.parametrize("count", [1, 5, 47, 48, 49, 300])
+def test_rows_are_folded_into_what_is_there(count):
+    rng = np.random.default_rng(count)
+    before, rows = rng.normal(size=(9, 9)), rng.normal(size=(count, 12))
+    columns = np.array([0, 2, 3, 4, 5, 7, 8, 10, 11])
+    factor = np.triu(before)
+    fold(rows, columns, factor)
+    total = np.triu(before).T @ np.triu(before) + rows[:, columns].T @ rows[:, columns]
+    np.testing.assert_allclose(factor.T @ factor, total, atol=1e-11)
+    assert not np.tril(factor, -1).any()
