@@ -1,7 +1,7 @@
 """Time the sequential estimators: one update against filterpy's, and whole passes over frames.
 
 An update has 21 decorrelated measurements and 8 states (an exposure of 12 stars), Jacobian given.
-Rounds of both alternate, so that a drifting machine slows both; the ratio is that of their medians.
+Rounds alternate, so that a drifting machine slows all alike; ratios are medians over the rounds.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import time
 from pathlib import Path
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 from study import ROOT, make_matcher
+from timing import alternating_times, available, summary
 
 from stcal.estimators.filter_kernels import sigma_points
 from stcal.estimators.sequential import SEQUENTIAL
@@ -22,25 +22,17 @@ from stcal.pipeline.filter_run import filter_fragment
 from stcal.pipeline.filtering import Variant, make_filter, process_noise_of
 from stcal.simulate import load_scenario, scenario_with, simulate
 
-STATES, MEASUREMENTS, CALLS, ROUNDS = 8, 21, 500, 15
+STATES, MEASUREMENTS, CALLS = 8, 21, 500
 
 
-def per_call(function) -> float:
-    start = time.perf_counter()
-    for _ in range(CALLS):
-        function()
-    return (time.perf_counter() - start) / CALLS * 1e6
+def repeated(function):
+    """Return a function that calls ``function`` often enough to be timed."""
 
+    def calls():
+        for _ in range(CALLS):
+            function()
 
-def paired(own: dict, peer) -> tuple[dict[str, float], float]:
-    """Return the median us of each of our functions and of the peer, in alternating rounds."""
-    times: dict[str, list[float]] = {name: [] for name in own}
-    peers = []
-    for _ in range(ROUNDS):
-        for name, function in own.items():
-            times[name].append(per_call(function))
-        peers.append(per_call(peer))
-    return {name: float(np.median(t)) for name, t in times.items()}, float(np.median(peers))
+    return calls
 
 
 def problem():
@@ -72,6 +64,8 @@ def own_updates() -> dict:
 
 
 def filterpy_ekf():
+    from filterpy.kalman import ExtendedKalmanFilter
+
     jacobian, y, sd = problem()
     peer = ExtendedKalmanFilter(dim_x=STATES, dim_z=MEASUREMENTS)
     peer.R = np.eye(MEASUREMENTS)
@@ -87,6 +81,8 @@ def filterpy_ekf():
 
 
 def filterpy_ukf():
+    from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
+
     jacobian, y, sd = problem()
     points = MerweScaledSigmaPoints(STATES, alpha=1.0, beta=2.0, kappa=0.0)
     peer = UnscentedKalmanFilter(
@@ -104,18 +100,27 @@ def filterpy_ukf():
     return update
 
 
-def updates() -> dict:
+def updates(rounds: int) -> dict:
+    """Time updates; an unscented one is set against filterpy's, with its prediction."""
+    peers, missing = available({"filterpy EKF": filterpy_ekf, "filterpy UKF": filterpy_ukf})
     own = own_updates()
-    for function in own.values():
-        function()
-    times, ekf = paired(own, filterpy_ekf())
-    _, ukf = paired({}, filterpy_ukf())
-    print(f"update, {STATES} states, {MEASUREMENTS} measurements, us:")
-    print(f"  filterpy EKF {ekf:.0f}, filterpy UKF (predict and update) {ukf:.0f}")
-    for name, value in times.items():
-        peer = ukf if name.startswith("ukf") else ekf
-        print(f"  {name:18s} {value:6.2f}   ratio {value / peer:.4f}")
-    return {"filterpy_ekf_us": ekf, "filterpy_ukf_us": ukf, "own_us": times}
+    functions = {name: repeated(function) for name, function in (own | peers).items()}
+    times = alternating_times(functions, rounds)
+    rows = {name: {"us": 1e6 * float(np.median(times[name])) / CALLS} for name in times}
+    for name in own:
+        peer = "filterpy UKF" if name.startswith("ukf") else "filterpy EKF"
+        if peer in times:
+            rows[name]["peer"] = peer
+            rows[name]["ratio"] = summary(times[peer], times[name])["stcal_over_it"]
+    rows |= {name: {"missing": reason} for name, reason in missing.items()}
+    print(f"update, {STATES} states, {MEASUREMENTS} measurements:")
+    for name, row in rows.items():
+        if "missing" in row:
+            print(f"  {name:18s} missing: {row['missing']}")
+            continue
+        against = f"   {row['ratio']:.4f} of {row['peer']}" if "ratio" in row else ""
+        print(f"  {name:18s} {row['us']:8.2f} us{against}")
+    return rows
 
 
 def passes(number: int, frames: int) -> dict:
@@ -163,17 +168,27 @@ def passes(number: int, frames: int) -> dict:
     return {"sensor": number, "frames": count, "variants": found}
 
 
-def main() -> None:
+def run(options: argparse.Namespace) -> dict:
+    """Measure what ``options`` ask for and return it as one document."""
+    return {
+        "updates": updates(options.rounds),
+        "passes": [passes(number, options.frames) for number in (4, 5)],
+    }
+
+
+def arguments(given: list[str] | None = None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=3000)
+    parser.add_argument("--rounds", type=int, default=15)
     parser.add_argument("--json", type=Path)
-    arguments = parser.parse_args()
-    document = {
-        "updates": updates(),
-        "passes": [passes(number, arguments.frames) for number in (4, 5)],
-    }
-    if arguments.json:
-        arguments.json.write_text(json.dumps(document, indent=1))
+    return parser.parse_args(given)
+
+
+def main() -> None:
+    options = arguments()
+    document = run(options)
+    if options.json:
+        options.json.write_text(json.dumps(document, indent=1))
 
 
 if __name__ == "__main__":
