@@ -95,7 +95,7 @@ class BoundResidual:
 
         columns = np.append(free, len(camera.parameters)).astype(np.int64)
         factor = np.zeros((len(columns), len(columns)))
-        row_px, col_px = self.selection.row_px, self.selection.col_px
+        row_px, col_px, _, _ = self.selection.columns
         evaluate, rows = CAMERA_KERNELS[camera.model.name], RESIDUAL_KERNELS[self.kind].rows
         for block in self.blocks:
             stars = slice(block.first, block.last)
@@ -115,15 +115,15 @@ def bind_blocks(
     from stcal.residuals.kernels import RESIDUAL_KERNELS
 
     evaluate, bind = CAMERA_KERNELS[camera.model.name], RESIDUAL_KERNELS[kind].bind
-    offsets, s_i = selection.offsets, np.ascontiguousarray(selection.s_i)
+    offsets, (row_px, col_px, s_i, sd_px) = selection.offsets, selection.columns
     blocks = []
     for exposure in range(0, selection.n_exposures, _EXPOSURES):
         mine = offsets[exposure : exposure + _EXPOSURES + 1]
         first, last = int(mine[0]), int(mine[-1])
         ints, floats = bind_block(
             evaluate, bind, camera.parameters, camera.pixel_size_m, camera.slope_table, camera.rows,
-            camera.cols, mine - first, selection.row_px[first:last], selection.col_px[first:last],
-            s_i[first:last], selection.sd_px[first:last], options,
+            camera.cols, mine - first, row_px[first:last], col_px[first:last], s_i[first:last],
+            sd_px[first:last], options,
         )  # fmt: skip
         blocks.append(Block(first, last, ints, floats))
     return tuple(blocks)

@@ -47,12 +47,18 @@ class StarSelection:
         counts = np.bincount(self.exposure, minlength=self.n_exposures)
         return np.concatenate(([0], np.cumsum(counts)))
 
+    @property
+    def columns(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """row_px, col_px, s_i and sd_px as the kernels take them: of one layout, and writable."""
+        row_px, col_px, s_i, sd_px = (
+            np.require(values, np.float64, ["C", "W"])
+            for values in (self.row_px, self.col_px, self.s_i, self.sd_px)
+        )
+        return row_px, col_px, s_i, sd_px
+
     def keep(self, mask: NDArray[np.bool_], minimum: int) -> StarSelection:
         """Return the kept stars of the exposures that still have ``minimum`` of them."""
-        count = np.bincount(self.exposure[mask], minlength=self.n_exposures)
-        used = (count > 0) & (count >= minimum)
-        mask = mask & used[self.exposure]
-        number = np.cumsum(used) - 1
+        mask, number, count = _with_enough(self.exposure, self.n_exposures, mask, minimum)
         return StarSelection(
             self.star[mask],
             number[self.exposure[mask]],
@@ -60,8 +66,17 @@ class StarSelection:
             self.col_px[mask],
             self.s_i[mask],
             self.sd_px[mask],
-            int(used.sum()),
+            count,
         )
+
+
+def _with_enough(
+    exposure: Ints, n_exposures: int, mask: NDArray[np.bool_], minimum: int
+) -> tuple[NDArray[np.bool_], Ints, int]:
+    """Return the mask without exposures of too few stars, the exposures' new numbers, how many."""
+    count = np.bincount(exposure[mask], minlength=n_exposures)
+    used = (count > 0) & (count >= minimum)
+    return mask & used[exposure], np.cumsum(used) - 1, int(used.sum())
 
 
 def centroid_sd(noise: Noise, intensity: Floats) -> Floats:
@@ -80,17 +95,19 @@ def centroid_sd(noise: Noise, intensity: Floats) -> Floats:
 def select_stars(matched: MatchedFrames, noise: Noise, minimum: int) -> StarSelection:
     """Take the matched stars of the exposures with at least ``minimum`` (Enright: N_min = 4)."""
     frames = matched.frames
-    star = np.flatnonzero(matched.is_matched & matched.solved[frames.exposure_of_star])
-    everything = StarSelection(
+    mask = matched.is_matched & matched.solved[frames.exposure_of_star]
+    # Before anything is copied: most of the time here goes into copies.
+    mask, number, count = _with_enough(frames.exposure_of_star, frames.n_exposures, mask, minimum)
+    star = np.flatnonzero(mask)
+    return StarSelection(
         star=star,
-        exposure=frames.exposure_of_star[star],
+        exposure=number[frames.exposure_of_star[star]],
         row_px=frames.row_px[star],
         col_px=frames.col_px[star],
         s_i=matched.s_i[star],
         sd_px=centroid_sd(noise, frames.intensity[star]),
-        n_exposures=frames.n_exposures,
+        n_exposures=count,
     )
-    return everything.keep(np.ones(len(star), dtype=bool), minimum)
 
 
 def star_departures(selection: StarSelection, camera: Camera) -> Floats:
@@ -128,7 +145,6 @@ def _judged(
     kept, departure = np.ones(len(selection.star), dtype=bool), np.empty(len(selection.star))
     judge_stars(
         CAMERA_KERNELS[camera.model.name], camera.parameters, camera.pixel_size_m,
-        selection.offsets, selection.row_px, selection.col_px,
-        np.ascontiguousarray(selection.s_i), selection.sd_px, limit, minimum, kept, departure,
+        selection.offsets, *selection.columns, limit, minimum, kept, departure,
     )  # fmt: skip
     return kept, departure

@@ -1,5 +1,7 @@
 """The factor of a fragment, folded block by block, is that of its whitened rows."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import simulation, st16_config, st16_matcher
@@ -7,6 +9,7 @@ from conftest import simulation, st16_config, st16_matcher
 from stcal.matching import match
 from stcal.residuals import RESIDUALS, Residual, bound, select_stars
 from stcal.residuals.block_kernels import fold
+from stcal.residuals.selection import star_departures
 
 SIGMA = np.array([8e-6, 30.0, 30.0, 1e8, 1e3, 0.01, 0.01, 2e-4])
 
@@ -51,6 +54,21 @@ def test_reduction_is_bitwise_repeatable(data, stars):
             for _ in range(2)
         ]
         assert np.array_equal(*factors)
+
+
+def test_columns_of_any_layout_will_do(data, stars):
+    """Views into a table, and arrays that may not be written to."""
+    table = np.column_stack([stars.row_px, stars.col_px, stars.sd_px, stars.s_i])
+    table.flags.writeable = False
+    views = replace(
+        stars, row_px=table[:, 0], col_px=table[:, 1], sd_px=table[:, 2], s_i=table[:, 3:]
+    )
+    camera, free = data.initial.camera, np.arange(8)
+    factors = [
+        Residual().bind(some, data.true.camera).reduce(camera, free) for some in (stars, views)
+    ]
+    assert np.array_equal(*factors)
+    assert np.array_equal(star_departures(views, camera), star_departures(stars, camera))
 
 
 def test_nothing_gives_a_factor_of_zeros(data, stars):
