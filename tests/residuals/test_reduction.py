@@ -47,6 +47,14 @@ def test_the_factor_is_that_of_the_rows(data, stars, name, free, monkeypatch):
         np.testing.assert_allclose(signs[:, None] * factor / size, expected / size, atol=1e-11)
 
 
+def test_arcs_are_numbered_through_the_blocks(data, stars, monkeypatch):
+    whole = Residual().bind(stars, data.true.camera)
+    monkeypatch.setattr(bound, "_EXPOSURES", 7)
+    blocks = Residual().bind(stars, data.true.camera)
+    for name in ("pair_i", "pair_j", "starts", "arc"):
+        assert np.array_equal(getattr(blocks, name), getattr(whole, name))
+
+
 def test_reduction_is_bitwise_repeatable(data, stars):
     for _ in range(2):
         factors = [

@@ -31,6 +31,21 @@ def test_only_exposures_with_enough_stars_are_used(data):
     assert (np.diff(selection.exposure) >= 0).all()
 
 
+@pytest.mark.parametrize("minimum", [0, 4, 7])
+def test_stars_of_rich_exposures_are_kept_and_numbered_anew(data, minimum):
+    found = matched(data, data.calibration.frames)
+    selection = select_stars(found, st16_config().noise, minimum)
+    counts = found.matches_per_exposure * found.solved
+    used = np.flatnonzero((counts >= minimum) & (counts > 0))
+    assert (counts == minimum).any() or minimum == 0
+    assert np.array_equal(np.diff(selection.offsets), counts[used])
+    assert np.array_equal(found.frames.exposure_of_star[selection.star], used[selection.exposure])
+    half = np.arange(len(selection.star)) % 2 == 0
+    kept = selection.keep(half, 3)
+    left = np.bincount(selection.exposure[half], minlength=selection.n_exposures)
+    assert np.array_equal(np.diff(kept.offsets), left[left >= 3])
+
+
 def test_departures_have_unit_sd_under_the_true_noise(data):
     part = data.calibration
     selection = select_stars(matched(data, part.frames), st16_config().noise, 4)
