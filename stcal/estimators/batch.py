@@ -29,7 +29,8 @@ class BatchSolution:
     Attributes
     ----------
     parameters : (P,)
-    information : the factor at the solution, in scaled parameters (one unit = one Table II sigma)
+    information : the factor at the solution, in scaled parameters (one unit = one Table II sigma);
+        its matrix is that of the last linearisation, within a thousandth of an sd
     chi2 : weighted sum of squares at the solution
     iterations : accepted steps
     converged : whether the last step was below a thousandth of every parameter's sd
@@ -55,20 +56,18 @@ def levenberg_marquardt(linearise: Linearise, start: Floats, scale: Floats) -> B
         # LAPACK prints on standard output when it is handed NaN.
         if not (np.isfinite(here.root).all() and np.isfinite(here.projected).all()):
             break
-        step = _damped_step(here, damping)
+        whole = _damped_step(here, 0.0)
         # The undamped length decides on convergence, or heavy damping would feign it.
-        small = _in_sd(here, _damped_step(here, 0.0)) < _STEP_SD
+        if _in_sd(here, whole) < _STEP_SD:
+            # So short a step needs no look at where it leads, which would be one more pass.
+            x, here, converged = x + whole * scale, _after(here, whole), True
+            accepted += 1
+            break
+        step = _damped_step(here, damping)
         there = scaled(linearise(x + step * scale), scale)
         if np.isfinite(there.chi2) and there.chi2 <= here.chi2 * (1.0 + 1e-12):
             x, here = x + step * scale, there
             damping, accepted = max(damping / 10.0, 1e-12), accepted + 1
-            if small:
-                converged = True
-                break
-        elif small:
-            # No descent left at the resolution of the arithmetic.
-            converged = True
-            break
         else:
             damping = max(10.0 * damping, _DAMPING_FELT)
             if damping > _DAMPING_LIMIT:
@@ -83,6 +82,13 @@ def _damped_step(information: SquareRootInformation, damping: float) -> Floats:
     target = np.concatenate([-information.projected, np.zeros(len(diagonal))])
     step: Floats = np.linalg.lstsq(stacked, target, rcond=None)[0]
     return step
+
+
+def _after(information: SquareRootInformation, step: Floats) -> SquareRootInformation:
+    """Return the factor after a step, as the linear problem has it."""
+    factor = information.factor.copy()
+    factor[:-1, -1] += information.root @ step
+    return SquareRootInformation(factor, information.rows)
 
 
 def _in_sd(information: SquareRootInformation, step: Floats) -> float:

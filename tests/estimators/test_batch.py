@@ -68,6 +68,24 @@ def test_a_hard_function_converges():
     np.testing.assert_allclose(solution.parameters, [1, 1], atol=1e-5)
 
 
+def test_a_linear_problem_is_looked_at_twice():
+    """At the start and after the step; that nothing is left to do needs no third pass."""
+    rng = np.random.default_rng(4)
+    H, y, looks = rng.normal(size=(50, 3)), rng.normal(size=50), []
+
+    def linearise(x):
+        looks.append(x)
+        return reduce_rows(np.column_stack([H, H @ x - y]), 50)
+
+    solution = levenberg_marquardt(linearise, np.full(3, 10.0), np.ones(3))
+    expected, cost = np.linalg.lstsq(H, y)[:2]
+    assert len(looks) == 2
+    assert solution.converged
+    np.testing.assert_allclose(solution.parameters, expected, rtol=1e-9)
+    assert solution.chi2 == pytest.approx(cost[0], rel=1e-9)
+    assert np.abs(solution.information.projected).max() < 1e-9
+
+
 def test_nan_residuals_do_not_count_as_convergence():
     def linearise(x):
         return reduce_rows(np.array([[1.0, np.nan]]), 1)
