@@ -38,7 +38,7 @@ _NAME = "kernels-"
 # A cache that no process has used for so long belongs to a version that is gone.
 _STALE_S = 30 * 86400.0
 _ANNOUNCEMENT = (
-    "stcal: compiling kernels for this machine, once: about 30 s (90 s for a sequential fit)"
+    "stcal: compiling kernels for this machine, once: about 25 s, a minute for a sequential fit"
 )
 
 
