@@ -1,7 +1,7 @@
 """Simulated star trackers in orbit: scenario in, telemetry with its truth out."""
 
 from stcal.simulate.scenario import PARTS, Scenario
-from stcal.simulate.scenario_file import load_scenario, scenario_with
+from stcal.simulate.scenario_file import load_scenario, scenario_with, with_frames
 from stcal.simulate.simulation import (
     SimulatedPart,
     Simulation,
@@ -22,4 +22,5 @@ __all__ = [
     "scenario_with",
     "simulate",
     "stream",
+    "with_frames",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -10,9 +11,11 @@ import numpy as np
 
 from stcal.atomic import write_with
 from stcal.calibration import save
+from stcal.constants import EXPOSURES_PER_FRAME
+from stcal.simulate.body import body_attitudes
 from stcal.simulate.detector import CENTROID_DECIMALS
 from stcal.simulate.scenario import PARTS
-from stcal.simulate.simulation import SimulatedPart, Simulation, body_attitudes
+from stcal.simulate.simulation import SimulatedPart, Simulation
 
 if TYPE_CHECKING:
     from stcal.telemetry.packet_layout import PacketLayout
@@ -47,8 +50,7 @@ def write_simulation(
     save(simulation.true, files["true calibration"])
     if truth_columns:
         files["truth"] = folder / "truth" / f"{sensor}.truth.npz"
-        columns = _truth_columns(simulation)
-        write_with(files["truth"], partial(_save_columns, columns))
+        write_truth(files["truth"], _truth_columns(simulation))
     return files
 
 
@@ -73,31 +75,54 @@ def _truth_columns(simulation: Simulation) -> dict[str, Any]:
     """Return the columns of both parts, named ``<part>.<column>``."""
     columns: dict[str, Any] = {}
     for name in PARTS:
-        part: SimulatedPart = getattr(simulation, name)
-        kept = {key: getattr(part.frames, key) for key in ("frame_id", "t_tai_ns", "star_offsets")}
-        for key, value in (kept | vars(part.truth)).items():
+        for key, value in truth_columns(getattr(simulation, name)).items():
             columns[f"{name}.{key}"] = value
     return columns
 
 
+def truth_columns(part: SimulatedPart) -> dict[str, Any]:
+    """Return the truth of a part by column, with what tells its frames and stars apart."""
+    kept = {key: getattr(part.frames, key) for key in ("frame_id", "t_tai_ns", "star_offsets")}
+    return kept | vars(part.truth)
+
+
+def write_truth(path: Path, columns: dict[str, Any]) -> None:
+    """Write columns as a compressed numpy archive."""
+    write_with(path, partial(_save_columns, columns))
+
+
 def summary(simulation: Simulation) -> dict[str, Any]:
     """Return what was made, in numbers, by part."""
-    return {name: _part_summary(getattr(simulation, name)) for name in PARTS}
+    return {name: figures(counts(getattr(simulation, name))) for name in PARTS}
 
 
-def _part_summary(part: SimulatedPart) -> dict[str, Any]:
+def counts(part: SimulatedPart) -> Counter[str]:
+    """Return what a part, or a piece of one, holds; the counts of pieces add up."""
     frames, truth = part.frames, part.truth
     identified = frames.star_id > 0
     counted = frames.counts_for_availability
+    return Counter(
+        frames=frames.n_frames,
+        counted_frames=int(counted.sum()),
+        fixed_frames=int(frames.has_fix[counted].sum()),
+        stars=frames.n_stars,
+        false_stars=int((truth.star_id == 0).sum()),
+        outliers=int(truth.outlier.sum()),
+        identified_stars=int(identified.sum()),
+        wrongly_identified_stars=int((identified & (frames.star_id != truth.star_id)).sum()),
+    )
+
+
+def figures(total: Counter[str]) -> dict[str, Any]:
+    """Return a part's counts as the summary states them."""
+    frames, counted = total["frames"], total["counted_frames"]
+    told = ("false_stars", "outliers", "identified_stars", "wrongly_identified_stars")
     return {
-        "frames": frames.n_frames,
-        "flagged_frames": int((~counted).sum()),
-        "stars": frames.n_stars,
-        "stars_per_exposure": round(float(frames.stars_per_exposure.mean()), 3),
-        "false_stars": int((truth.star_id == 0).sum()),
-        "outliers": int(truth.outlier.sum()),
-        "identified_stars": int(identified.sum()),
-        "wrongly_identified_stars": int((identified & (frames.star_id != truth.star_id)).sum()),
+        "frames": frames,
+        "flagged_frames": frames - counted,
+        "stars": total["stars"],
+        "stars_per_exposure": round(total["stars"] / (EXPOSURES_PER_FRAME * frames), 3),
+        **{name: total[name] for name in told},
         # Without a frame outside eclipse and intrusion there is no availability.
-        "availability": round(float(frames.has_fix[counted].mean()), 6) if counted.any() else None,
+        "availability": round(total["fixed_frames"] / counted, 6) if counted else None,
     }

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from stcal.catalog.apparent import observer_at
 from stcal.constants import DAY_S, DEG, EARTH_GM_M3_S2, EARTH_J2, EARTH_RADIUS_M
 from stcal.simulate.sections import OrbitSection
 from stcal.times import julian_date_tt
@@ -96,10 +97,10 @@ def state(orbit: Orbit, t_s: Floats) -> tuple[Floats, Floats]:
 
 def sun_and_moon(t_tai_ns: Ints) -> tuple[Floats, Floats]:
     """Return unit vectors (T, 3) from the geocentre to the Sun and to the Moon (ERFA)."""
-    jd1, jd2 = julian_date_tt(t_tai_ns)
-    sun = -erfa.epv00(jd1, jd2)[0]["p"]
-    moon = erfa.moon98(jd1, jd2)["p"]
-    return _unit(sun), _unit(moon)
+    centre = np.zeros((len(t_tai_ns), 3))
+    earth = observer_at(t_tai_ns, centre, centre)
+    moon = erfa.moon98(*julian_date_tt(t_tai_ns))["p"]
+    return _unit(-earth.sun_au), _unit(moon)
 
 
 def _unit(v: Floats) -> Floats:

@@ -84,3 +84,23 @@ def scenario_with(scenario: Scenario, **changes: Any) -> Scenario:
         return Scenario.model_validate(document)
     except ValidationError as error:
         raise ConfigError("scenario:\n  " + "\n  ".join(_lines(error, False))) from None
+
+
+def with_frames(scenario: Scenario, part: str, frames: int) -> Scenario:
+    """Return the scenario with so many frames in a part: segments cut, or the last one longer.
+
+    Raises
+    ------
+    ConfigError
+        When the longer part brings an error.
+    """
+    segments = []
+    left = frames
+    for segment in scenario.part(part).segments:
+        taken = min(segment.frames, left)
+        if taken:
+            segments.append(segment.model_copy(update={"frames": taken}))
+        left -= taken
+    if left:
+        segments[-1] = segments[-1].model_copy(update={"frames": segments[-1].frames + left})
+    return scenario_with(scenario, **{f"{part}__segments": segments})

@@ -102,7 +102,7 @@ class CameraTruth(Section):
 
 
 class _Motion(Section):
-    frames: Annotated[int, Field(ge=1, le=1_000_000)]
+    frames: Annotated[int, Field(ge=1, le=100_000_000)]
     # Slow wander about the motion: amplitude per axis, and the mean period of its waves.
     wander_deg: HalfTurn = 0.0
     wander_period_s: Positive = 600.0

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from stcal.calibration import Calibration
-from stcal.constants import DEG, EXPOSURES_PER_FRAME, URAD
+from stcal.constants import DEG, EXPOSURES_PER_FRAME
 from stcal.frames import FrameBatch, concatenate
 from stcal.simulate import detector
 from stcal.simulate.attitude import mounting_rotation
@@ -22,11 +22,12 @@ from stcal.simulate.scenario import PARTS, Scenario
 from stcal.simulate.sky import places, stars_in_cones
 from stcal.simulate.timeline import attitudes, tai_ns
 from stcal.simulate.true_camera import field_of_view
-from stcal.simulate.world import CHUNK_FRAMES, World, calibrations, entropy_of, make_world
+from stcal.simulate.world import CHUNK_FRAMES, World, calibrations, make_world
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+_PER_STAR = ("star_id", "sd_px", "outlier")
 _RATE_DECIMALS, _KM_DECIMALS, _KM_S_DECIMALS, _TEMPERATURE_DECIMALS = 5, 3, 6, 2
 
 ChunkMap = Callable[[Callable[[int], "SimulatedPart"], Iterable[int]], Iterable["SimulatedPart"]]
@@ -64,6 +65,19 @@ class SimulatedPart:
     frames: FrameBatch
     truth: Truth
 
+    def rows(self, start: int, stop: int) -> SimulatedPart:
+        """Return the frames from ``start`` to before ``stop``."""
+        first, last = EXPOSURES_PER_FRAME * start, EXPOSURES_PER_FRAME * stop
+        stars = slice(self.frames.star_offsets[first], self.frames.star_offsets[last])
+        columns = {
+            f.name: getattr(self.truth, f.name)[
+                stars if f.name in _PER_STAR else slice(start, stop)
+            ]
+            for f in fields(Truth)
+        }
+        columns["q_si"] = self.truth.q_si[first:last]
+        return SimulatedPart(self.frames.take(np.arange(start, stop)), Truth(**columns))
+
 
 @dataclass(frozen=True)
 class Simulation:
@@ -94,7 +108,7 @@ def simulate(scenario: Scenario, seed: int, map_chunks: ChunkMap = map) -> Simul
     """
     initial, true = calibrations(scenario)
     parts = {
-        name: _join(map_chunks(partial(simulate_chunk, world), range(world.n_chunks)))
+        name: join(map_chunks(partial(simulate_chunk, world), range(world.n_chunks)))
         for name, world in ((name, make_world(scenario, name, seed)) for name in PARTS)
     }
     return Simulation(scenario, seed, initial, true, parts["calibration"], parts["validation"])
@@ -106,29 +120,13 @@ def stream(scenario: Scenario, part: str, seed: int) -> Iterator[SimulatedPart]:
     return (simulate_chunk(world, chunk) for chunk in range(world.n_chunks))
 
 
-def body_attitudes(simulation: Simulation) -> tuple[Ints, Floats]:
-    """Return what the spacecraft knows of its attitude: times (F,) and noisy q_bi (F, 4).
-
-    At exposure 0 of the frames of both parts, in the order of time.
-    """
-    mounting = simulation.scenario.mounting
-    parts = [getattr(simulation, name) for name in PARTS]
-    times = np.concatenate([part.frames.t_tai_ns for part in parts])
-    q_si = np.concatenate([part.truth.q_si[::EXPOSURES_PER_FRAME] for part in parts])
-    rng = np.random.default_rng(entropy_of(simulation.scenario, simulation.seed, len(PARTS)))
-    noise = rng.normal(0.0, mounting.body_attitude_sd_urad * URAD, (len(times), 3))
-    c_bs = mounting_rotation(mounting)
-    c_ib = Rotation.from_quat(q_si) * c_bs.inv() * Rotation.from_rotvec(noise)
-    order = np.argsort(times, kind="stable")
-    return times[order], c_ib.as_quat(canonical=True)[order]
-
-
 def simulate_chunk(world: World, chunk: int) -> SimulatedPart:
     """Return one chunk of a part: a pure function of the world and the chunk's number."""
     # Child 0 laid out the timeline; each chunk has its own.
     seed = np.random.SeedSequence(world.seed, spawn_key=(1, chunk))
     rng = np.random.default_rng(seed)
-    rows = slice(chunk * CHUNK_FRAMES, min((chunk + 1) * CHUNK_FRAMES, world.timeline.n_frames))
+    start = chunk * CHUNK_FRAMES - world.timeline.first
+    rows = slice(start, min(start + CHUNK_FRAMES, world.timeline.n_frames))
     q_si, rate = _sensor_attitudes(world, rows)
     t_s = world.timeline.t_s[rows]
     pos_km, vel_km_s = state(world.orbit, t_s)
@@ -204,6 +202,7 @@ def _telemetry(
     timeline = world.timeline
     t_s = timeline.t_s[rows]
     count = len(t_s)
+    first = part.first_frame_id + timeline.first + rows.start
     rate = truth.rate_deg_s + options.rate_sd_deg_s * rng.normal(size=(count, 3))
     temperature = options.temperature_c + warmth
     temperature += options.temperature_sd_c * rng.normal(size=count)
@@ -211,7 +210,7 @@ def _telemetry(
     per_exposure = np.bincount(found.exposure, minlength=EXPOSURES_PER_FRAME * count)
     return FrameBatch(
         sensor_id=scenario.sensor_id,
-        frame_id=part.first_frame_id + np.arange(rows.start, rows.stop, dtype=np.int64),
+        frame_id=np.arange(first, first + count, dtype=np.int64),
         t_tai_ns=tai_ns(scenario.epoch_tai_ns, t_s),
         best_exposure=np.full(count, -1, dtype=np.int8),
         q_si=np.full((count, 4), np.nan),
@@ -229,7 +228,8 @@ def _telemetry(
     )
 
 
-def _join(chunks: Iterable[SimulatedPart]) -> SimulatedPart:
+def join(chunks: Iterable[SimulatedPart]) -> SimulatedPart:
+    """Return consecutive chunks as one part."""
     listed = list(chunks)
     truth = Truth(
         **{

@@ -21,6 +21,8 @@ Bools = NDArray[np.bool_]
 _NS_PER_MS = 1_000_000
 # A segment that has not found its frames in so many sample times won't find them.
 _MOST_SAMPLES_PER_FRAME = 50
+# Sample times whose view is looked at together.
+_VIEW_SAMPLES = 1 << 16
 
 
 def tai_ns(epoch_tai_ns: int, t_s: Floats) -> NDArray[np.int64]:
@@ -30,18 +32,28 @@ def tai_ns(epoch_tai_ns: int, t_s: Floats) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class Timeline:
-    """The frames of one part: (F,) columns, and the motions that ``motion`` indexes."""
+    """Frames of one part: (F,) columns, and the motions that ``motion`` indexes.
+
+    ``first`` is the number of the first frame in its part, from 0.
+    """
 
     motions: tuple[Motion, ...]
     motion: NDArray[np.int64]
     t_s: Floats
     eclipse: Bools
     intrusion: Bools
+    first: int = 0
 
     @property
     def n_frames(self) -> int:
         """Number of frames F."""
         return len(self.t_s)
+
+    def piece(self, start: int, stop: int) -> Timeline:
+        """Return the frames of the part from ``start`` to before ``stop``."""
+        rows = slice(start - self.first, stop - self.first)
+        columns = (self.motion[rows], self.t_s[rows], self.eclipse[rows], self.intrusion[rows])
+        return Timeline(self.motions, *columns, first=start)
 
 
 def make_timeline(
@@ -71,8 +83,8 @@ def make_timeline(
         columns.append((np.full(len(t_s), index), t_s, eclipse, intrusion))
         start = float(t_s[-1]) + part.sample_period_s
         before = attitude_at(motion, orbit, np.array([start]))[0][0]
-    joined = (np.concatenate(column) for column in zip(*columns, strict=True))
-    return Timeline(tuple(motions), *joined)
+    number, t_s, eclipse, intrusion = map(np.concatenate, zip(*columns, strict=True))
+    return Timeline(tuple(motions), number, t_s, eclipse, intrusion)
 
 
 def attitudes(
@@ -99,8 +111,7 @@ def _frames(
     """Return times and flags of the segment's frames, fewer than wanted where there are none."""
     wanted = motion.segment.frames
     samples, most = wanted, _MOST_SAMPLES_PER_FRAME * wanted
-    # Drawn at once, so that looking further ahead doesn't change what was found before.
-    lucky = rng.random(most) < scenario.visibility.keep_flagged
+    kept = eclipse = intrusion = np.zeros(0, dtype=np.bool_)
     while True:
         t_s: Floats = motion.start_s + part.sample_period_s * np.arange(samples, dtype=np.float64)
         if t_s[-1] >= (END_TAI_NS - scenario.epoch_tai_ns) * 1e-9:
@@ -108,11 +119,16 @@ def _frames(
                 f"{scenario.sensor_id}: a {motion.segment.motion} segment finds too few frames "
                 "without eclipse or intrusion before the year 2100"
             )
-        eclipse, intrusion = view_flags(scenario, motion, orbit, c_bs, t_s)
-        kept = ~(eclipse | intrusion) | lucky[:samples]
+        for k in range(len(kept), samples, _VIEW_SAMPLES):
+            more = view_flags(scenario, motion, orbit, c_bs, t_s[k : k + _VIEW_SAMPLES])
+            lucky = rng.random(len(more[0])) < scenario.visibility.keep_flagged
+            kept = np.concatenate([kept, ~(more[0] | more[1]) | lucky])
+            eclipse, intrusion = np.concatenate([[eclipse, intrusion], more], axis=1)
         if kept.sum() >= wanted or samples == most:
             break
         samples = min(2 * samples, most)
+    # The next segment's draws don't depend on how far this one had to look.
+    rng.bit_generator.advance(most - samples)  # type: ignore[attr-defined]
     found = np.flatnonzero(kept)[:wanted]
     return t_s[found], eclipse[found], intrusion[found]
 

@@ -42,10 +42,15 @@ def encode_packets(
 
 
 def write_packets(
-    layout: PacketLayout, frames: FrameBatch, path: Path, first_pixel_centre_px: float = 0.0
+    layout: PacketLayout,
+    frames: FrameBatch,
+    path: Path,
+    first_pixel_centre_px: float = 0.0,
+    first_sequence: int = 0,
 ) -> None:
     """Write the packets of frames to a file, in one step."""
-    atomic.write_bytes(path, encode_packets(layout, frames, 0, first_pixel_centre_px))
+    packets = encode_packets(layout, frames, first_sequence, first_pixel_centre_px)
+    atomic.write_bytes(path, packets)
 
 
 @dataclass(frozen=True)

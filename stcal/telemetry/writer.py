@@ -19,6 +19,7 @@ from stcal import atomic
 from stcal.constants import EXPOSURES_PER_FRAME
 from stcal.frames import Floats, FrameBatch, Ints
 from stcal.telemetry.columns import COLUMNS, FLAGS, OPTIONAL_COLUMNS, STAR_COLUMNS, VECTORS
+from stcal.telemetry.number_texts import number_texts
 from stcal.telemetry.schema import star_id_texts
 from stcal.times import format_utc_array
 
@@ -32,6 +33,9 @@ _DECIMALS = {
     "intensity": 2,
 }
 _COMPRESSION_LEVEL = 9
+# The lines of a batch may exceed the 2 GiB of plain strings.
+_TEXT = pa.large_string()
+_COMMA = pa.scalar(",", _TEXT)
 
 
 def write_csv(
@@ -39,6 +43,7 @@ def write_csv(
     path: Path,
     decimals: int | None = 4,
     first_pixel_centre_px: float = 0.0,
+    compression_level: int = _COMPRESSION_LEVEL,
 ) -> None:
     """Write frames as telemetry CSV, gzip-compressed when the name ends in ``.gz``.
 
@@ -46,18 +51,16 @@ def write_csv(
     ----------
     decimals : of the centroids; None writes every number so that it reads back exactly
     first_pixel_centre_px : the coordinate that the sensor gives to the centre of the first pixel
+    compression_level : of gzip, 1 (fast) to 9 (small)
     """
     names = _column_names(batches)
 
     def fill(stream: BinaryIO) -> None:
         stream.write((",".join(names) + "\n").encode())
         for batch in batches:
-            columns = _csv_columns(batch, decimals, first_pixel_centre_px)
-            lines = pc.binary_join_element_wise(*(columns[name] for name in names), ",")
-            if len(lines):
-                stream.write(("\n".join(lines.to_pylist()) + "\n").encode())
+            _write_lines(stream, _csv_lines(batch, names, decimals, first_pixel_centre_px))
 
-    _write(path, fill)
+    _write(path, fill, compression_level)
 
 
 def write_jsonl(
@@ -83,7 +86,7 @@ def write_attitudes(path: Path, t_tai_ns: Ints, q_bi: Floats, sd_urad: float) ->
     ``q_bi`` (T, 4) is B relative to I, scalar last; its noise is ``sd_urad`` about every axis.
     """
     columns = [pa.array(format_utc_array(t_tai_ns).tolist(), pa.string())]
-    columns += [_number(column, _DECIMALS["q_si"]) for column in q_bi.T]
+    columns += [number_texts(column, _DECIMALS["q_si"]) for column in q_bi.T]
     columns.append(pa.repeat(f"{sd_urad:g}", len(t_tai_ns)))
     lines = pc.binary_join_element_wise(*columns, ",").to_pylist()
     text = "\n".join(["time_utc,q_x,q_y,q_z,q_w,sd_urad", *lines]) + "\n"
@@ -100,9 +103,9 @@ def frame_json(batch: FrameBatch, index: int) -> str:
     return json.dumps(next(iter(_documents(one, None, 0.0, _has_optional(one)))))
 
 
-def _write(path: Path, fill: Callable[[BinaryIO], None]) -> None:
+def _write(path: Path, fill: Callable[[BinaryIO], None], level: int = _COMPRESSION_LEVEL) -> None:
     def compressed(stream: BinaryIO) -> None:
-        with gzip.GzipFile("", "wb", _COMPRESSION_LEVEL, stream, mtime=0) as packed:
+        with gzip.GzipFile("", "wb", level, stream, mtime=0) as packed:
             fill(packed)  # type: ignore[arg-type]
 
     atomic.write_with(path, compressed if path.suffix == ".gz" else fill)
@@ -118,24 +121,52 @@ def _column_names(batches: Sequence[FrameBatch]) -> list[str]:
     return [column.name for column in COLUMNS if column.required or optional]
 
 
-def _csv_columns(batch: FrameBatch, decimals: int | None, first: float) -> dict[str, Any]:
-    """Return every column as text, one entry a row: a star, or a frame without stars."""
+def _csv_lines(batch: FrameBatch, names: Sequence[str], decimals: int | None, first: float) -> Any:
+    """Return the lines as Arrow strings, one a row: a star, or a frame without stars.
+
+    What a frame's rows have in common is joined once a frame: its columns before those of the
+    stars, and those behind.
+    """
+    texts = {name: text.fill_null("") for name, text in _frame_texts(batch, decimals)}
+    stars = [column.name for column in STAR_COLUMNS]
+    first_star = names.index(stars[0])
+    behind = names[first_star + len(stars) :]
+    before = _joined([texts[name] for name in names[:first_star]])
+    after = _joined([texts[name] for name in behind]) if behind else None
+
     counts = np.diff(batch.star_offsets[::EXPOSURES_PER_FRAME])
     rows = np.maximum(counts, 1)
-    frame = np.repeat(np.arange(batch.n_frames), rows)
+    frame = pa.array(np.repeat(np.arange(batch.n_frames), rows))
     is_star = np.repeat(counts > 0, rows)
-    columns = {name: text.take(pa.array(frame)) for name, text in _frame_texts(batch, decimals)}
-    exposure = batch.exposure_of_star % EXPOSURES_PER_FRAME
-    stars = {
-        "exposure": pc.cast(pa.array(exposure), pa.string()),
-        "row_px": _number(batch.row_px + first, decimals),
-        "col_px": _number(batch.col_px + first, decimals),
-        "intensity": _number(batch.intensity, _digits("intensity", decimals)),
-        "star_id": star_id_texts(batch.star_id).fill_null(""),
-    }
     place = pa.array(np.cumsum(is_star) - 1, mask=~is_star)
-    columns |= {column.name: stars[column.name].take(place) for column in STAR_COLUMNS}
-    return {name: text.fill_null("") for name, text in columns.items()}
+    columns = _star_texts(batch, decimals, first)
+    parts = [before.take(frame)]
+    parts += [columns[name].fill_null("").take(place).fill_null("") for name in stars]
+    return _joined(parts if after is None else [*parts, after.take(frame)])
+
+
+def _joined(columns: Sequence[Any]) -> Any:
+    """Return the columns joined by commas."""
+    return pc.binary_join_element_wise(*(pc.cast(c, _TEXT) for c in columns), _COMMA)
+
+
+def _write_lines(stream: BinaryIO, lines: Any) -> None:
+    """Write the lines, each with a newline, without making Python objects of them."""
+    ended = pc.binary_join_element_wise(lines, pa.scalar("", _TEXT), pa.scalar("\n", _TEXT))
+    text = ended.buffers()[2]
+    if text is not None:
+        stream.write(text)
+
+
+def _star_texts(batch: FrameBatch, decimals: int | None, first: float) -> dict[str, Any]:
+    exposure = batch.exposure_of_star % EXPOSURES_PER_FRAME
+    return {
+        "exposure": pc.cast(pa.array(exposure), pa.string()),
+        "row_px": number_texts(batch.row_px + first, decimals),
+        "col_px": number_texts(batch.col_px + first, decimals),
+        "intensity": number_texts(batch.intensity, _digits("intensity", decimals)),
+        "star_id": star_id_texts(batch.star_id),
+    }
 
 
 def _frame_texts(batch: FrameBatch, decimals: int | None) -> Iterable[tuple[str, Any]]:
@@ -144,27 +175,18 @@ def _frame_texts(batch: FrameBatch, decimals: int | None) -> Iterable[tuple[str,
     yield "time_utc", pa.array(format_utc_array(batch.t_tai_ns).tolist(), pa.string())
     best = pa.array(batch.best_exposure, mask=batch.best_exposure < 0)
     yield "best_exposure", pc.cast(best, pa.string())
-    temperature = _number(batch.temperature_c, _digits("temperature_c", decimals))
+    temperature = number_texts(batch.temperature_c, _digits("temperature_c", decimals))
     yield "temperature_c", temperature
     for name in FLAGS:
         yield name, pc.cast(pa.array(getattr(batch, name).astype(np.int8)), pa.string())
     for field, names in VECTORS.items():
         vector = getattr(batch, field)
         for i, name in enumerate(names):
-            yield name, _number(vector[:, i], _digits(field, decimals))
+            yield name, number_texts(vector[:, i], _digits(field, decimals))
 
 
 def _digits(field: str, decimals: int | None) -> int | None:
     return None if decimals is None else _DECIMALS[field]
-
-
-def _number(values: Floats, decimals: int | None) -> Any:
-    """Return numbers as text, null where NaN: fixed decimals, or the shortest exact form."""
-    empty = np.isnan(values)
-    if decimals is None:
-        return pc.cast(pa.array(values, mask=empty), pa.string())
-    texts = np.strings.mod(f"%.{decimals}f", values) if len(values) else np.array([], dtype=str)
-    return pa.array(texts.astype(object), pa.string(), mask=empty)
 
 
 def _quoted(text: str) -> str:
