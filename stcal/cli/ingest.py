@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -60,6 +61,13 @@ _ALWAYS = ("rows", "frames", "new_frames", "duplicate_frames", "stars", "quarant
     type=click.Path(path_type=Path),
     help="The sources are tables of another tool: the column mapping that describes them.",
 )
+@click.option(
+    "--workers",
+    type=click.IntRange(1, 256),
+    default=lambda: min(os.cpu_count() or 1, 4),
+    help="Threads that read files ahead; the processor's cores up to 4 if not given. The store is "
+    "the same.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 @click.pass_context
 def command(
@@ -69,6 +77,7 @@ def command(
     config_paths: tuple[Path, ...],
     mapping_path: Path | None,
     layout_path: Path | None,
+    workers: int,
     as_json: bool,
 ) -> None:
     """Read telemetry SOURCEs (files or folders; CSV or JSON Lines, plain or gzip) into a store.
@@ -99,7 +108,15 @@ def command(
             bar.advance(share - done)
             done = share
 
-        summary = ingest(sources, store, configs, progress=step, packets=layout, mapping=mapping)
+        summary = ingest(
+            sources,
+            store,
+            configs,
+            progress=step,
+            packets=layout,
+            mapping=mapping,
+            workers=workers,
+        )
     _finish(context, summary, as_json)
 
 

@@ -135,22 +135,51 @@ def _mix(runs: Any) -> Any:
 
 def _sort(version: Ints, stars: Any) -> tuple[Ints, Bools]:
     """Return the stars' order in the store, and which of the ordered repeat the one before."""
-    order = np.lexsort(
-        (
-            stars["row"],
-            stars["star_id"],
-            stars["col_px"],
-            stars["row_px"],
-            -stars["intensity"],  # NaN comes last
-            stars["exposure"],
-            version,
-        )
+    keys = (
+        version,
+        stars["exposure"],
+        -stars["intensity"],  # NaN comes last
+        stars["row_px"],
+        stars["col_px"],
+        stars["star_id"],
+        stars["row"],
     )
+    order = _lexicographic_order(keys)
     ordered, of = stars[order], version[order]
     same = of[1:] == of[:-1]
     for name in _STAR_KEYS:
         same &= (ordered[name][1:] == ordered[name][:-1]) | _both_nan(ordered[name])
     return order, np.concatenate((np.zeros(min(1, len(order)), dtype=np.bool_), same))
+
+
+def _lexicographic_order(keys: tuple[Any, ...]) -> Ints:
+    """Return the order of rows by the first key, then the second and so on.
+
+    Sources often have their stars in order but for a few exposures: only these are sorted then.
+    """
+    exposure = keys[:2]
+    if _steps_back(exposure).any():
+        return np.lexsort(keys[::-1])
+    order = np.arange(len(keys[0]))
+    changes = np.any([key[1:] != key[:-1] for key in exposure], axis=0)
+    number = np.concatenate((np.zeros(min(1, len(order)), dtype=np.int64), np.cumsum(changes)))
+    is_odd = np.zeros(len(order), dtype=np.bool_)
+    is_odd[number[1:][_steps_back(keys)]] = True
+    rows = np.flatnonzero(is_odd[number])
+    order[rows] = rows[np.lexsort([key[rows] for key in keys[::-1]])]
+    return order
+
+
+def _steps_back(keys: tuple[Any, ...]) -> Bools:
+    """Return (n - 1,) whether a row comes before the one in front of it; NaN counts as such."""
+    tied = np.ones(max(len(keys[0]) - 1, 0), dtype=np.bool_)
+    back = np.zeros_like(tied)
+    for key in keys:
+        back |= tied & ~(key[1:] >= key[:-1])
+        tied &= key[1:] == key[:-1]
+        if not tied.any():
+            break
+    return back
 
 
 def _both_nan(values: Any) -> Bools:
@@ -169,7 +198,8 @@ def _odd_groups(group: Ints, version: Ints, stars: Any, order: Ints, repeated: B
     np.minimum.at(least, of_distinct, times)
     odd = most > np.minimum(least, np.maximum(most, 1))
     several_runs = np.bincount(group, minlength=n) > 1
-    odd |= several_runs & _repeats_identifiers(n, version, stars, order[~repeated])
+    if several_runs.any():
+        odd |= several_runs & _repeats_identifiers(n, version, stars, order[~repeated])
     return np.flatnonzero(odd)
 
 

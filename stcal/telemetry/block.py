@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
+
+import numpy as np
 
 from stcal.frames import Ints
 from stcal.telemetry.quarantine import Rejection
@@ -18,7 +21,8 @@ class RowBlock:
     Attributes
     ----------
     columns : for every name in ``columns.COLUMNS`` an Arrow string array of length n, whose empty
-        values are null or ``''``, or a :class:`stcal.telemetry.typed.Typed` column
+        values are null or ``''``, or a :class:`stcal.telemetry.typed.Typed` column; with
+        ``frame`` the columns that are not of the stars may be shorter
     row : (n,) the line that each row stands on
     run : (n,) index of the run of neighbouring rows that belong to one frame, from 0, without gaps
     raw : the bytes of what row i stands in (its line, packet or record) as the source has them
@@ -28,6 +32,8 @@ class RowBlock:
     lines_are_frames : one line gives a whole frame, so that runs are never joined
     frames_span_lines : runs are joined although a line is not a row: an exposure a packet
     truncated_run : the file ends too early, and its last run may lack rows
+    frame : (n,) where the columns of the frame have each row's values, the same for all rows of a
+        run; None where they have a value a row
     """
 
     columns: dict[str, Any]
@@ -39,6 +45,12 @@ class RowBlock:
     lines_are_frames: bool = False
     frames_span_lines: bool = False
     truncated_run: bool = False
+    frame: Ints | None = None
+
+    @cached_property
+    def frame_index(self) -> Ints:
+        """(n,) where the columns of the frame have each row's values."""
+        return np.arange(len(self)) if self.frame is None else self.frame
 
     def __len__(self) -> int:
         """Return the number of rows n."""

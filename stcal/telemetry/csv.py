@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from stcal.errors import InputError
+from stcal.frames import Ints
 from stcal.telemetry.block import Decoder, RowBlock
 from stcal.telemetry.columns import COLUMNS
+from stcal.telemetry.csv_fields import Fields, columns_of, find_fields, runs_of
 from stcal.telemetry.csv_lines import Header, Lines, header_line, parse, split_header
 from stcal.telemetry.sources import BLOCK_BYTES, LineReader, SourceFile, stream
 
@@ -43,9 +46,9 @@ def decode(
         lines = Lines(block, header, source.truncated and block.last)
         if lines.repeated_headers:
             warn("repeated header lines were skipped")
-        rows = _row_block(lines, header)
-        if not block.last and len(block.data) < _MAXIMUM_RUN_BLOCKS * block_bytes:
-            rows, rest = hold_last_run(rows, lines)
+        hold = not block.last and len(block.data) < _MAXIMUM_RUN_BLOCKS * block_bytes
+        rows, rest = _row_block(lines, header, hold)
+        if rest:
             reader.push_back(rest)
         yield rows
     if not ended and not source.truncated:
@@ -67,9 +70,49 @@ def _parse_header(source: SourceFile, line: bytes, warn: Callable[[str], None]) 
     return header
 
 
-def _row_block(lines: Lines, header: Header) -> RowBlock:
+def _row_block(lines: Lines, header: Header, hold: bool) -> tuple[RowBlock, bytes]:
+    """Return the rows of a block and, when the last run is held back, its lines."""
     which = np.flatnonzero(lines.good)
-    found = parse(lines, which, header, [name for name in header.names if name in _KNOWN])
+    known = [name for name in header.names if name in _KNOWN]
+    if len(which) and not lines.quoted:
+        fields = find_fields(lines, which, header)
+        first = runs_of(fields, known)
+        if first is not None:
+            return _compact_block(fields, first, known, hold)
+    rows = _text_block(lines, which, header, known)
+    return hold_last_run(rows, lines) if hold else (rows, b"")
+
+
+def _compact_block(
+    fields: Fields, first: Ints, known: list[str], hold: bool
+) -> tuple[RowBlock, bytes]:
+    """Return the rows with the columns of their frame given once a run."""
+    lines, which = fields.lines, fields.which
+    rest, rejected = b"", lines.rejected
+    if hold:
+        stop, first = int(first[-1]), first[:-1]
+        rest = lines.data[lines.start[which[stop]] :]
+        rejected = [record for record in rejected if record.row < lines.number[which[stop]]]
+        fields = replace(fields, which=which[:stop], bounds=fields.bounds[:stop])
+    new = np.zeros(len(fields.which), dtype=np.int64)
+    new[first[1:]] = 1
+    run = np.cumsum(new)
+    rows = RowBlock(
+        columns=columns_of(fields, first, known),
+        row=lines.number[fields.which],
+        run=run,
+        raw=lambda i: lines.bytes_of(int(which[i])),
+        offset=lines.offset[fields.which],
+        rejected=rejected,
+        truncated_run=lines.cut and not hold,
+        frame=run,
+    )
+    return rows, rest
+
+
+def _text_block(lines: Lines, which: Ints, header: Header, known: list[str]) -> RowBlock:
+    """Return the rows with every column as text: quoted ones, and frames that contradict."""
+    found = parse(lines, which, header, known)
     empty = pa.nulls(len(which), pa.string())
     columns = {column.name: found.get(column.name, empty) for column in COLUMNS}
     n = len(which)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from stcal.errors import InputError
 from stcal.frames import Ints
+from stcal.telemetry.csv_kernels import count_fields
 from stcal.telemetry.quarantine import TRUNCATED, Rejection
 from stcal.telemetry.sources import LineBlock, LineReader, SourceFile, stream
 
@@ -99,21 +100,25 @@ class Lines:
     def _check(self, bytes_: NDArray[np.uint8], n_columns: int) -> None:
         if self.cut and not self.ended and self.good[-1]:
             self._reject([len(self.stop) - 1], TRUNCATED, "the file ends within this row")
+        fields = np.empty(len(self.start), np.int64)
+        special = count_fields(bytes_, self.start, self.stop, ord(self._delimiter), fields)
+        self.quoted = special and self._check_special(bytes_, fields)
+        ragged = np.flatnonzero(self.good & (fields != n_columns))
+        for i in ragged.tolist():
+            self._reject([i], "ragged_row", f"{fields[i]} fields, the header has {n_columns}")
+
+    def _check_special(self, bytes_: NDArray[np.uint8], fields: Ints) -> bool:
+        """Refuse what is no text, count quoted fields, and return whether there are any."""
         # NUL and a lone carriage return would be line ends to other readers.
         odd = np.flatnonzero((bytes_ == 0) | (bytes_ == _CR))
         line = self._line_of(odd)
         inside = (bytes_[odd] == 0) | (odd < self.end[line])
         self._reject(np.unique(line[inside]), "bad_text", "a control character in the row")
         self._reject(self._not_utf8(), "bad_encoding", "the row is not UTF-8")
-        commas = np.flatnonzero(bytes_ == ord(self._delimiter))
-        fields = np.searchsorted(commas, self.stop) - np.searchsorted(commas, self.start) + 1
         quoted = np.unique(self._line_of(np.flatnonzero(bytes_ == ord('"'))))
-        self.quoted = bool(len(quoted))
         for i in quoted[self.good[quoted]].tolist():
             fields[i] = self._quoted_fields(i)
-        ragged = np.flatnonzero(self.good & (fields != n_columns))
-        for i in ragged.tolist():
-            self._reject([i], "ragged_row", f"{fields[i]} fields, the header has {n_columns}")
+        return bool(len(quoted))
 
     def _line_of(self, position: Ints) -> Ints:
         return np.searchsorted(self.stop, position)
@@ -171,10 +176,11 @@ def _only(lines: Lines, which: Ints) -> bytes:
     """Return the block without the lines that are not in ``which``."""
     if len(which) == len(lines.stop):
         return lines.data
-    length = np.minimum(lines.stop + 1, len(lines.data)) - lines.start
-    keep = np.zeros(len(lines.stop), dtype=np.bool_)
-    keep[which] = True
-    return np.frombuffer(lines.data, np.uint8)[np.repeat(keep, length)].tobytes()
+    # Neighbours are copied together.
+    breaks = np.flatnonzero(np.diff(which) != 1)
+    first = lines.start[which[np.concatenate(([0], breaks + 1))]]
+    behind = lines.stop[which[np.concatenate((breaks, [len(which) - 1]))]] + 1
+    return b"".join(map(lines.data.__getitem__, map(slice, first.tolist(), behind.tolist())))
 
 
 def _parse_with_arrow(data: bytes, header: Header, known: Sequence[str]) -> dict[str, Any]:

@@ -160,24 +160,25 @@ class PacketDecoder:
         shape = _RowShape(self._layout, decoded)
         packet = which[shape.packet]
         columns: dict[str, Any] = {
-            column.name: pa.nulls(len(packet), pa.string()) for column in COLUMNS
+            column.name: pa.nulls(len(which), pa.string()) for column in COLUMNS
         }
-        columns["sensor_id"] = self._sensor_ids.take(pa.array(apid[packet]))
-        columns["time_utc"] = decoded.t_tai_ns.take(shape.packet)
-        for name, column in decoded.scalars.items():
-            if name in FRAME_FIELDS:
-                columns[name] = column.take(shape.packet)
+        columns["sensor_id"] = self._sensor_ids.take(pa.array(apid[which]))
+        columns["time_utc"] = decoded.t_tai_ns
+        columns |= {
+            name: column for name, column in decoded.scalars.items() if name in FRAME_FIELDS
+        }
         columns |= shape.stars(decoded)
         start, total = block.start[packet], block.total[packet]
         return RowBlock(
             columns=columns,
             row=row[packet],
-            run=np.cumsum(np.diff(packet, prepend=packet[:1]) != 0),
+            run=shape.packet,
             raw=lambda i: block.data[start[i] : start[i] + total[i]].tobytes(),
             offset=block.offset + start,
             rejected=sorted(rejected, key=lambda record: record.row),
             lines_are_frames=True,
             frames_span_lines=self._layout.frames_span_packets,
+            frame=shape.packet,
         )
 
 

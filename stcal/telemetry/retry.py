@@ -28,7 +28,6 @@ from stcal.telemetry import configurations, quarantine
 from stcal.telemetry.assemble import assemble
 from stcal.telemetry.block import Again, RowBlock
 from stcal.telemetry.decoders import AGAIN
-from stcal.telemetry.ingest import Window, by_day, join, with_source
 from stcal.telemetry.merge import Outcome
 from stcal.telemetry.ordering import excess_of
 from stcal.telemetry.quarantine import TIME_BACKWARDS, TRUNCATED, Origin, Rejection
@@ -38,6 +37,7 @@ from stcal.telemetry.sources import SourceFile, from_memory
 from stcal.telemetry.store import Store
 from stcal.telemetry.summary import by_reason
 from stcal.telemetry.validate import validate
+from stcal.telemetry.windows import Window, by_day, join, with_source
 
 
 @dataclass

@@ -7,7 +7,7 @@ import os
 import stat
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from stcal.errors import InputError
@@ -17,6 +17,7 @@ EXTENSIONS = (".csv", ".csv.gz", ".jsonl", ".jsonl.gz")
 HEAD_BYTES = 1 << 16
 BLOCK_BYTES = 8 << 20
 _CHUNK = 1 << 20
+_KEPT_BYTES = 64 << 20
 _MAXIMUM_LINE = 16 << 20
 _GZIP_MAGIC = b"\x1f\x8b"
 _GZIP_WBITS = 31
@@ -42,6 +43,7 @@ class SourceFile:
     head : the first decompressed bytes
     truncated : a gzip stream that ends too early; what it holds until there is intact
     content : the bytes themselves, in place of a file
+    unpacked : what a small gzip file holds, so that it is unpacked once
     """
 
     path: Path
@@ -52,6 +54,7 @@ class SourceFile:
     truncated: bool = False
     warnings: tuple[str, ...] = ()
     content: bytes | None = None
+    unpacked: tuple[bytes, ...] | None = field(default=None, repr=False)
 
     @property
     def name(self) -> str:
@@ -96,6 +99,7 @@ def examine(path: Path, is_text: bool = True) -> SourceFile:
     digest, size = hashlib.sha256(), 0
     text = _TextCheck(path, is_text)
     unpack = None
+    kept: list[bytes] = []
     for chunk in _chunks(path):
         if size == 0 and chunk.startswith(_GZIP_MAGIC):
             unpack = Gunzip(str(path))
@@ -103,6 +107,10 @@ def examine(path: Path, is_text: bool = True) -> SourceFile:
         size += len(chunk)
         for part in unpack.feed(chunk) if unpack else (chunk,):
             text.add(part)
+            if unpack is not None:
+                kept.append(part)
+            if text.size > _KEPT_BYTES:
+                kept.clear()
     if size == 0 or text.size == 0:
         cut = ": the gzip stream is cut before its first byte" if unpack and size else ""
         raise InputError(f"{path}: the file is empty{cut}")
@@ -110,7 +118,16 @@ def examine(path: Path, is_text: bool = True) -> SourceFile:
     warnings = unpack.warnings if unpack is not None else ()
     head = bytes(text.head)
     sha256 = digest.hexdigest()
-    return SourceFile(path, size, sha256, unpack is not None, head, truncated, warnings)
+    return SourceFile(
+        path,
+        size,
+        sha256,
+        unpack is not None,
+        head,
+        truncated,
+        warnings,
+        unpacked=tuple(kept) or None,
+    )
 
 
 def from_memory(name: str, sha256: str, content: bytes) -> SourceFile:
@@ -136,6 +153,9 @@ def stream(source: SourceFile) -> Iterator[bytes]:
     """Yield the decompressed bytes of an examined file; of a truncated one, what there is."""
     if source.content is not None:
         yield source.content
+        return
+    if source.unpacked is not None:
+        yield from source.unpacked
         return
     unpack = Gunzip(str(source.path)) if source.compressed else None
     left = source.size  # a file that still grows is read up to where it was examined

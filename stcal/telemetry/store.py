@@ -156,21 +156,31 @@ class Store:
         )
 
     def merge_day(self, day: str, incoming: StoredFrames) -> Merge:
-        """Merge frames of one sensor and UTC day into the store; the caller holds the lock.
+        """Merge frames of one sensor and UTC day into the store; the caller holds the lock."""
+        sensor_id = incoming.frames.sensor_id
+        stored, lost = self.read_day(sensor_id, day), self.read_lost(sensor_id, day)
+        merged = merge(stored, lost, incoming)
+        self.write_day(sensor_id, day, (stored, lost), (merged.kept, merged.lost))
+        return merged
+
+    def write_day(
+        self,
+        sensor_id: str,
+        day: str,
+        before: tuple[StoredFrames | None, list[LostVersion]],
+        after: tuple[StoredFrames, list[LostVersion]],
+    ) -> None:
+        """Write a day's frames and displaced versions as far as they differ from ``before``.
 
         The displaced versions are on disk before the day that no longer has them.
         """
-        sensor_id = incoming.frames.sensor_id
-        path = self._folder(sensor_id) / f"day={day}" / _FRAGMENT
-        conflicts = quarantine.conflicts_path(self.root, sensor_folder(sensor_id), day)
-        stored, lost = self.read_day(sensor_id, day), self.read_lost(sensor_id, day)
-        merged = merge(stored, lost, incoming)
-        if set(merged.lost) != set(lost):
-            quarantine.write_conflicts(conflicts, merged.lost)
-        table = table_from_stored(merged.kept)
-        if stored is None or not table.equals(table_from_stored(stored)):
+        if set(after[1]) != set(before[1]):
+            conflicts = quarantine.conflicts_path(self.root, sensor_folder(sensor_id), day)
+            quarantine.write_conflicts(conflicts, after[1])
+        table = table_from_stored(after[0])
+        if before[0] is None or not table.equals(table_from_stored(before[0])):
+            path = self._folder(sensor_id) / f"day={day}" / _FRAGMENT
             parquet.write(path, table, row_group_size=_ROW_GROUP_FRAMES)
-        return merged
 
     @contextmanager
     def lock(self) -> Iterator[None]:

@@ -84,13 +84,14 @@ def validate(block: RowBlock, sensors: Sensors) -> tuple[Any, Any, list[Rejectio
     if not len(block):
         return np.empty(0, RUN), np.empty(0, STAR), list(block.rejected)
     text = {name: values.strip(column) for name, column in block.columns.items()}
-    faults = _Faults(np.full(len(block), -1))
+    faults = _Faults(np.full(len(text["frame_id"]), -1))
     frame = _frame_values(block, text, sensors, faults)
     bad_run = np.zeros(int(block.run[-1]) + 1, dtype=np.bool_)
-    bad_run[block.run[faults.first >= 0]] = True
+    bad_run[block.run[(faults.first >= 0)[block.frame_index]]] = True
     frame_bad = bad_run[block.run]
     star_faults = _Faults(np.full(len(block), -1))
-    stars, is_marker = _star_values(block, text, sensors, frame["sensor"], star_faults)
+    sensor = frame["sensor"][block.frame_index]
+    stars, is_marker = _star_values(block, text, sensors, sensor, star_faults)
     star_bad = (star_faults.first >= 0) & ~frame_bad
     rejected = [
         *block.rejected,
@@ -98,15 +99,17 @@ def validate(block: RowBlock, sensors: Sensors) -> tuple[Any, Any, list[Rejectio
         *_star_rejections(block, text, star_faults, np.flatnonzero(star_bad)),
     ]
     good = ~frame_bad & ~star_bad
-    runs = frame[np.flatnonzero(np.diff(block.run, prepend=-1))]
+    first = _first_rows(block)
+    runs = frame[block.frame_index[first]]
+    runs["row"] = block.row[first]
     runs["rows"] = np.bincount(block.run[good], minlength=len(runs))
     stars["run"] = (np.cumsum(~bad_run) - 1)[block.run]
     return runs[~bad_run], stars[good & ~is_marker], rejected
 
 
 def _frame_values(block: RowBlock, text: dict[str, Any], sensors: Sensors, faults: _Faults) -> Any:
-    """Return RUN records (n,), one a row, and note the faults of the frame."""
-    frame = np.zeros(len(block), RUN)
+    """Return a RUN record for each value of the frame's columns, and note their faults."""
+    frame = np.zeros(len(text["frame_id"]), RUN)
 
     def shown(name: str, what: str) -> Describe:
         return lambda i: f"{name} is {text[name][i].as_py()!r}, {what}"
@@ -125,13 +128,19 @@ def _frame_values(block: RowBlock, text: dict[str, Any], sensors: Sensors, fault
     for name in FLAGS:
         frame[name], bad = values.flags(text[name])
         faults.add("bad_flag", bad, shown(name, "neither 0, 1 nor empty"))
-    frame["row"] = block.row
     frame["alone"] = block.lines_are_frames and not block.frames_span_lines
     if block.truncated_run:
-        last = block.run == block.run[-1]
+        last = np.zeros(len(frame), dtype=np.bool_)
+        last[block.frame_index[block.run == block.run[-1]]] = True
         faults.add(TRUNCATED, last, lambda i: "the file ends before it shows that this is whole")
-    _check_agreement(block, frame, faults)
+    if block.frame is None:
+        _check_agreement(block, frame, faults)
     return frame
+
+
+def _first_rows(block: RowBlock) -> Ints:
+    """Return the first row of every run."""
+    return np.flatnonzero(np.diff(block.run, prepend=-1))
 
 
 def _frame_numbers(
@@ -171,7 +180,7 @@ def _check_quaternion(frame: Any, sensors: Sensors, faults: _Faults) -> None:
 
 def _check_agreement(block: RowBlock, frame: Any, faults: _Faults) -> None:
     """Every row of a run must say the same about its frame as the run's first row does."""
-    first = np.flatnonzero(np.diff(block.run, prepend=-1))[block.run]
+    first = _first_rows(block)[block.run]
     differs = np.zeros(len(frame), dtype=np.bool_)
     named = ("t_tai_ns", "best_exposure", *FLAGS)
     for name in named:
@@ -253,7 +262,7 @@ def _frame_rejections(
     rejections: list[Rejection] = []
     run, run_rows, reason = -1, np.bincount(block.run), ("", "")
     # A row without a fault of its own is refused for the first fault of its run.
-    faulty = np.flatnonzero(faults.first >= 0)
+    faulty = np.flatnonzero((faults.first >= 0)[block.frame_index])
     _, first = np.unique(block.run[faulty], return_index=True)
     culprit = dict(zip(block.run[faulty[first]].tolist(), faulty[first].tolist(), strict=True))
     for i in rows.tolist():
@@ -261,7 +270,7 @@ def _frame_rejections(
             continue
         if block.run[i] != run:
             run = int(block.run[i])
-            code, detail = faults.at(culprit[run])
+            code, detail = faults.at(int(block.frame_index[culprit[run]]))
             where = "" if block.lines_are_frames else f" (row {block.row[culprit[run]]})"
             reason = (code, detail + where)
         count = int(run_rows[run]) if block.lines_are_frames else 1
@@ -278,7 +287,7 @@ def _star_rejections(
     """
     if not block.lines_are_frames:
         return [_rejection(block, text, i, *faults.at(i)) for i in rows.tolist()]
-    first = np.flatnonzero(np.diff(block.run, prepend=-1))[block.run]
+    first = _first_rows(block)[block.run]
     alike: dict[tuple[int, str], list[int]] = {}
     for i in rows.tolist():
         alike.setdefault((int(block.run[i]), faults.at(i)[0]), []).append(i)
@@ -295,6 +304,7 @@ def _star_rejections(
 def _rejection(
     block: RowBlock, text: dict[str, Any], i: int, code: str, detail: str, rows: int = 1
 ) -> Rejection:
-    sensor_id, frame_id = (text[name][i].as_py() for name in ("sensor_id", "frame_id"))
+    record = int(block.frame_index[i])
+    sensor_id, frame_id = (text[name][record].as_py() for name in ("sensor_id", "frame_id"))
     row, offset = int(block.row[i]), int(block.offset[i])
     return Rejection(row, code, detail, block.raw(i), offset, rows, sensor_id, frame_id)

@@ -98,8 +98,7 @@ def frame_numbers(blocks) -> list[int]:
     """Return the frame numbers decoded, a number a packet."""
     found: list[int] = []
     for block in blocks:
-        first = np.flatnonzero(np.diff(block.run, prepend=-1)) if len(block) else []
-        found += [int(block.columns["frame_id"].values[i]) for i in first]
+        found += block.columns["frame_id"].values.tolist() if len(block) else []
     return found
 
 

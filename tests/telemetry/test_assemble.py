@@ -111,7 +111,7 @@ def test_json_lines_never_join(tmp_path):
 
 
 def test_windows_do_not_cut_frames(tmp_path, monkeypatch):
-    monkeypatch.setattr("stcal.telemetry.ingest.HELD_ROWS", 45)
+    monkeypatch.setattr("stcal.telemetry.windows.HELD_ROWS", 45)
     table = cases.frames(80)
     # Rows that are out of order by less than what is held.
     table = [row for i in range(0, 240, 20) for row in shuffled(table[i : i + 20])]
@@ -128,7 +128,7 @@ def shuffled(table):
 
 
 def test_rows_farther_apart_than_a_window_are_kept_as_a_conflict(tmp_path, monkeypatch):
-    monkeypatch.setattr("stcal.telemetry.ingest.HELD_ROWS", 3)
+    monkeypatch.setattr("stcal.telemetry.windows.HELD_ROWS", 3)
     table = [*cases.rows(3), *cases.frames(60), cases.rows(4)[3]]
     path = cases.write_rows(tmp_path / "a.csv", table)
     with cases.small_blocks(1000):

@@ -84,7 +84,7 @@ def test_any_frames_there_and_back(frames):
     expected = as_sent(frames)
     _, (block, *_), records = decode(LAYOUT, encode_packets(LAYOUT, frames))
     assert not records
-    first = np.flatnonzero(np.diff(block.run, prepend=-1))
+    first = block.frame_index[np.flatnonzero(np.diff(block.run, prepend=-1))]
     assert block.columns["frame_id"].values[first].tolist() == frames.frame_id.tolist()
     assert np.abs(block.columns["time_utc"].values[first] - frames.t_tai_ns).max() <= 60
     for name, column in (("q_x", expected.q_si[:, 0]), ("rate_z_deg_s", expected.rate_deg_s[:, 2])):
