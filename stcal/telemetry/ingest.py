@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 WINDOW_ROWS = 500_000
 PACKET_EXTENSIONS = (".ccsds", ".ccsds.gz", ".bin", ".bin.gz", ".pkt", ".pkt.gz")
 # Rows of the days being filled that may wait for more to come.
-_WAITING_WINDOWS = 4
+_WAITING_WINDOWS = 2
 
 # (source, done files, all files), called before each file and after the last.
 Progress = Callable[[str, int, int], None]
