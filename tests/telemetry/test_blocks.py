@@ -79,3 +79,15 @@ def test_line_reader_counts_lines():
     for data, first_row, _ in blocks:
         assert first_row == row
         row += data.count(b"\n")
+
+
+def test_a_large_gzip_file_is_unpacked_anew(tmp_path, monkeypatch):
+    """What a small one holds is kept from the first look; a large one's is not."""
+    write_csv([cases.batch(20)], tmp_path / "a.csv.gz")
+    small = examine(tmp_path / "a.csv.gz")
+    whole = rows_of(csv.decode(small, print))
+    assert b"".join(small.unpacked).startswith(small.head)
+    monkeypatch.setattr("stcal.telemetry.sources._KEPT_BYTES", len(small.head) - 1)
+    large = examine(tmp_path / "a.csv.gz")
+    assert large.unpacked is None
+    assert rows_of(csv.decode(large, print)) == whole
