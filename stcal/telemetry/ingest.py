@@ -120,11 +120,12 @@ class _Piece:
 
 @dataclass(frozen=True)
 class _Ended:
-    """What is known of a file at its end; ``error`` when it could not be used, or not whole."""
+    """What is known of a file at its end; ``finished`` when it was read to there."""
 
     error: str | None = None
     warnings: tuple[str, ...] = ()
     packets: dict[str, Any] | None = None
+    finished: bool = True
 
 
 _Step = _Opened | _Piece | _Ended
@@ -149,7 +150,7 @@ def _read(
     except ConfigError:
         raise
     except InputError as error:
-        yield _Ended(printable(str(error)))
+        yield _Ended(printable(str(error)), finished=False)
         return
     report = decoder.report() if decoder.report is not None else None
     cut = None
@@ -193,8 +194,8 @@ def _finish(
     end: _Ended, opened: _Opened | None, parts: list[Path], store: Store, summary: SourceSummary
 ) -> None:
     summary.error = end.error
-    # A file that could not be read to its end may have had more to refuse.
-    if opened is None or (end.error is not None and not opened.source.truncated):
+    # A file that was not read to its end may have had more to refuse.
+    if opened is None or not end.finished:
         return
     quarantine.remove_other_parts(store.root, opened.source.sha256, parts)
     summary.packets = end.packets
