@@ -148,12 +148,27 @@ def _processes(workers: int) -> Iterator[OrderedMap]:
     if workers == 1:
         yield serial
         return
-    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+    with ProcessPoolExecutor(workers, get_context("spawn"), _end_with_parent) as pool:
 
         def parallel(function: Callable[[T], U], items: Iterable[T]) -> Iterator[U]:
             return pool.map(function, items)
 
         yield parallel
+
+
+def _end_with_parent() -> None:
+    """Let a worker end when the command is gone, even if it was killed."""
+    import os
+    from multiprocessing import parent_process
+    from threading import Thread
+
+    def wait() -> None:
+        parent = parent_process()
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    Thread(target=wait, daemon=True).start()
 
 
 def _table(document: dict[str, Any], console: Console) -> None:
@@ -163,7 +178,7 @@ def _table(document: dict[str, Any], console: Console) -> None:
     table = Table("", *document["parts"], title=title, title_justify="left")
     for key in next(iter(document["parts"].values())):
         values = (document["parts"][part][key] for part in document["parts"])
-        table.add_row(key.replace("_", " "), *("-" if v is None else f"{v:g}" for v in values))
+        table.add_row(key.replace("_", " "), *("-" if v is None else str(v) for v in values))
     console.print(table)
     for name, path in document["files"].items():
         console.print(f"{name}: {path}", highlight=False, soft_wrap=True)
