@@ -15,7 +15,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, PrivateAttr, Tag, ValidationError, model_validator
 
-from stcal.errors import ConfigError
+from stcal.errors import ConfigError, InputError
+from stcal.reading import MAXIMUM_TOML_BYTES, read_bytes
 from stcal.telemetry.packet_checks import column_problems, list_problems, name_problems
 from stcal.telemetry.packet_fields import Order, PacketField, PacketList, Section
 from stcal.telemetry.packet_time import TimeCode
@@ -176,7 +177,7 @@ def load_layout(path: Path) -> PacketLayout:
         Naming the file and every error in it.
     """
     try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+        content = read_bytes(path, MAXIMUM_TOML_BYTES)
+    except InputError as error:
+        raise ConfigError(str(error)) from None
     return parse_layout(content, str(path))

@@ -178,14 +178,25 @@ def _floats(column: Any) -> Floats:
 
 
 def batch_from_table(table: pa.Table, sensor_id: str) -> FrameBatch:
-    """Return the frames of a table in :func:`frame_schema` as columns, without a star loop."""
+    """Return the frames of a table in :func:`frame_schema` as columns, without a star loop.
+
+    Raises
+    ------
+    InputError
+        The table is not what ingest writes; kernels trust its lists.
+    """
     column = {name: table[name].combine_chunks() for name in table.column_names}
+    _check_lists(column)
+    _check_values(column, sensor_id)
     counts = pc.list_value_length(column["exposure"]).to_numpy()
     frame = np.repeat(np.arange(table.num_rows), counts)
     exposure = column["exposure"].flatten().to_numpy()
     per_exposure = np.bincount(
         EXPOSURES_PER_FRAME * frame + exposure, minlength=EXPOSURES_PER_FRAME * table.num_rows
     )
+    star_id = star_id_codes(column["star_id"].flatten())
+    if (star_id < 0).any():
+        raise InputError("star_id holds what is no identifier")
     vectors = {
         field: np.column_stack([_floats(column[name]) for name in names])
         for field, names in VECTORS.items()
@@ -202,9 +213,37 @@ def batch_from_table(table: pa.Table, sensor_id: str) -> FrameBatch:
         row_px=_floats(column["row_px"].flatten()),
         col_px=_floats(column["col_px"].flatten()),
         intensity=_floats(column["intensity"].flatten()),
-        star_id=star_id_codes(column["star_id"].flatten()),
+        star_id=star_id,
         **vectors,
     )
+
+
+def _check_lists(column: dict[str, Any]) -> None:
+    """Refuse star lists that do not belong together."""
+    lengths = pc.list_value_length(column["exposure"])
+    for name in (*_STAR_NUMBERS, "star_id"):
+        if not pc.list_value_length(column[name]).equals(lengths):
+            raise InputError(f"its lists exposure and {name} have other lengths")
+    exposure = column["exposure"].flatten()
+    steps = np.diff(exposure.fill_null(-1).to_numpy(), prepend=0)
+    first = np.cumsum(lengths.to_numpy())[:-1]
+    steps[first[first < len(steps)]] = 0  # a new frame may begin with any exposure
+    inside = pc.all(pc.is_in(exposure, pa.array([0, 1], pa.int8())), min_count=0).as_py()
+    if not inside or (steps < 0).any():
+        raise InputError("its exposures are not 0 and 1, in that order")
+
+
+def _check_values(column: dict[str, Any], sensor_id: str) -> None:
+    """Refuse frames of another sensor and numbers that no telemetry has."""
+    if not pc.all(pc.equal(column["sensor_id"], sensor_id), min_count=0).as_py():
+        raise InputError(f"it holds frames of another sensor than {sensor_id!r}")
+    for name in ("row_px", "col_px"):
+        values = column[name].flatten()
+        if values.null_count or not np.isfinite(values.to_numpy()).all():
+            raise InputError(f"{name} holds what is no number")
+    best = column["best_exposure"].fill_null(0)
+    if not pc.all(pc.is_in(best, pa.array([0, 1], pa.int8())), min_count=0).as_py():
+        raise InputError("best_exposure is neither 0 nor 1")
 
 
 def stored_from_table(table: pa.Table, sensor_id: str) -> StoredFrames:

@@ -147,7 +147,11 @@ class Store:
     def read_day(self, sensor_id: str, day: str) -> StoredFrames | None:
         """Return what the store has of one sensor and UTC day, None when nothing."""
         path = self._folder(sensor_id) / f"day={day}" / _FRAGMENT
-        return stored_from_table(_read(path), sensor_id) if path.exists() else None
+        if not path.exists():
+            return None
+        table = _read(path)
+        with _decoding(path):
+            return stored_from_table(table, sensor_id)
 
     def read_lost(self, sensor_id: str, day: str) -> list[LostVersion]:
         """Return the displaced versions of one sensor and UTC day."""
@@ -174,6 +178,7 @@ class Store:
 
         The displaced versions are on disk before the day that no longer has them.
         """
+        self._check_there()
         if set(after[1]) != set(before[1]):
             conflicts = quarantine.conflicts_path(self.root, sensor_folder(sensor_id), day)
             quarantine.write_conflicts(conflicts, after[1])
@@ -203,17 +208,37 @@ class Store:
             stream.truncate(0)
             stream.write(str(os.getpid()))
             stream.flush()
-            for left in self.root.rglob(f"{atomic.TEMPORARY_PREFIX}*"):
-                if not left.is_dir():
-                    left.unlink(missing_ok=True)
+            self._clear()
             try:
                 yield
+                self._check_there()
             finally:
                 stream.truncate(0)
 
+    def _clear(self) -> None:
+        """Remove what a killed writer left; refuse links, which lead writers out of the store."""
+        for folder, folders, names in os.walk(self.root):
+            links = [name for name in folders if os.path.islink(os.path.join(folder, name))]
+            if links:
+                raise InputError(
+                    f"{Path(folder) / links[0]}: a symbolic link to a folder; a store is written "
+                    "only within its own folder"
+                )
+            for name in names:
+                if name.startswith(atomic.TEMPORARY_PREFIX):
+                    Path(folder, name).unlink(missing_ok=True)
+
+    def _check_there(self) -> None:
+        """Refuse to go on with a store that was moved or removed: its files would be strays."""
+        if not (self.root / MARKER).exists():
+            raise InputError(f"{self.root}: the store was moved or removed while it was written")
+
     def _open_lock(self) -> TextIO:
+        path = self.root / LOCK
         try:
-            return (self.root / LOCK).open("a+")
+            # Not through a link: what it points to would be emptied.
+            handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+            return os.fdopen(handle, "r+")
         except OSError as error:
             raise InputError(
                 f"{self.root / LOCK}: the store cannot be locked for writing: {error.strerror}"
@@ -251,7 +276,8 @@ def read_fragment(fragment: Fragment) -> FrameBatch:
             raise InputError(f"{fragment.path}: the store changed while it was read; run again")
         groups, skipped = _row_groups(file, fragment.first, fragment.first + fragment.frames)
         table = file.read_row_groups(groups).slice(fragment.first - skipped, fragment.frames)
-    return batch_from_table(table, fragment.sensor_id)
+    with _decoding(fragment.path):
+        return batch_from_table(table, fragment.sensor_id)
 
 
 def _row_groups(file: pq.ParquetFile, first: int, stop: int) -> tuple[list[int], int]:
@@ -294,6 +320,15 @@ def _reading(path: Path) -> Iterator[pq.ParquetFile]:
     with parquet.reading(path, "fragment", _REMEDY) as file:
         check_version(file.schema_arrow, str(path))
         yield file
+
+
+@contextmanager
+def _decoding(path: Path) -> Iterator[None]:
+    """Name the file whose content turns out not to be what ingest writes."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{path}: damaged fragment: {error}{_REMEDY}") from None
 
 
 def _check_order(path: Path, times: Ints) -> None:
