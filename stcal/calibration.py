@@ -75,7 +75,26 @@ class Calibration:
 
 def save(calibration: Calibration, path: Path) -> None:
     """Write the calibration file atomically."""
-    write_text(path, canonical_json(calibration.to_json()))
+    write_text(path, file_text(calibration))
+
+
+def file_text(calibration: Calibration) -> str:
+    """Return the content of the calibration file.
+
+    A fitted one carries the hash of its content: a digit that a disk or a transfer has changed is
+    still JSON.  The minimal form is what people write, and has none.
+    """
+    document = calibration.to_json()
+    if calibration.covariance is not None:
+        document["sha256"] = _content_sha256(document)
+    return canonical_json(document)
+
+
+def _content_sha256(document: dict[str, Any]) -> str:
+    """Return the hash of everything but the hash, however the file is laid out."""
+    content = {key: value for key, value in document.items() if key != "sha256"}
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def canonical_json(document: dict[str, Any]) -> str:
@@ -92,6 +111,8 @@ def sha256_of(path: Path) -> str:
 def load(path: Path) -> Calibration:
     """Read a calibration file; the minimal form of the schema is enough.
 
+    A hash that the file carries must be that of its content.
+
     Raises
     ------
     InputError
@@ -99,6 +120,11 @@ def load(path: Path) -> Calibration:
     """
     document = read_json_object(path)
     problems: list[str] = []
+    if "sha256" in document and document["sha256"] != _content_sha256(document):
+        raise InputError(
+            f"{path}: damaged: its content does not agree with its sha256; if it was changed on "
+            "purpose, remove that line"
+        )
     calibration = _build(document, problems)
     if calibration is None or problems:
         raise InputError(f"{path}: " + "; ".join(problems))

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import gc
 import importlib
+import io
 import json
 import os
+import signal
 import sys
 from pathlib import Path
 from typing import Any
 
 import click
 
-from stcal.errors import StcalError
+from stcal.errors import InputError, StcalError
 from stcal.version import __version__
 
 # Name and one line of help, so that `stcal --help` imports no command.
@@ -65,11 +67,14 @@ def cli() -> None:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line and return the exit code (the console script exits with it)."""
+    own_process = arguments is None
     arguments = sys.argv[1:] if arguments is None else arguments
     # A command is short, and most of its objects (modules, figures) live to its end: collecting
     # as often as by default costs a twentieth of its time.
     gc.set_threshold(200_000, 50, 50)
     as_json = "--json" in arguments
+    if own_process:
+        _prepare_process()
     try:
         code = cli.main(args=arguments, prog_name="stcal", standalone_mode=False)
         return code if isinstance(code, int) else 0
@@ -87,16 +92,28 @@ def main(arguments: list[str] | None = None) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_INTERNAL
-    except OSError as error:
-        # A full disk, a missing permission: the machine's fault, told without a traceback.
-        where = f"{error.filename}: " if error.filename else ""
-        return _fail(f"{where}{error.strerror or error}", EXIT_INTERNAL, as_json)
     except Exception as error:
+        if isinstance(error, OSError) and error.errno is not None:
+            # A full disk, a missing permission: a place that the user named is of no use.
+            where = f"{error.filename}: " if error.filename else ""
+            return _fail(f"{where}{os.strerror(error.errno)}", InputError.exit_code, as_json)
         return _internal(error, as_json)
 
 
+def _prepare_process() -> None:
+    """Let SIGTERM end a command as SIGINT does, and no terminal's encoding make it fail."""
+    if signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:
+        # What is half-written goes, and the exit code is 130.
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
 def _fail(message: str, code: int, as_json: bool, document: dict[str, Any] | None = None) -> int:
-    click.echo(f"stcal: {message}", err=True)
+    from stcal.cli.output import plain
+
+    click.echo(plain(f"stcal: {message}"), err=True)
     if as_json:
         body = dict(document or {})
         body.setdefault("error", message)

@@ -11,7 +11,7 @@ import click
 
 from stcal.cli.inputs import MATCHING, OUT, Selection, read_inputs, store_options
 from stcal.cli.output import conclude, progress, write_documents
-from stcal.cli.paths import output_folder
+from stcal.cli.paths import own_folder
 from stcal.errors import InputError, UsageError
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ def command(
     source = BodySource(body, body_sensor, body_calibration)
     source.check(selection.sensor)
     options = AlignOptions(method, matching, attitude_sd_urad, maximum_gap_s)
-    output_folder(out)
+    own_folder(out)
     chosen = load(calibration)
     inputs = read_inputs(selection)
     provenance = inputs.provenance | {"calibration_sha256": sha256_of(calibration)}

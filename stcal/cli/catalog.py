@@ -78,7 +78,7 @@ def _print(document: dict[str, Any], console: Console) -> None:
     from rich.text import Text
 
     provenance = document["provenance"]
-    console.print(f"[bold]{provenance.get('title', 'Star catalogue')}[/bold]")
+    console.print(Text(str(provenance.get("title", "Star catalogue")), style="bold"))
     facts = Table(show_header=False, box=None)
     facts.add_column()
     facts.add_column(overflow="fold")

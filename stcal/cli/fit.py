@@ -15,7 +15,7 @@ from stcal.cli.output import (
     progress,
     write_documents,
 )
-from stcal.cli.paths import output_folder
+from stcal.cli.paths import own_folder
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -76,26 +76,29 @@ def command(
     pass; a refused fit ends with exit code 4 and its reasons.  A sequential fit also writes
     history.parquet (a row per frame) and state.json, from which --state goes on.
     """
+    from stcal.atomic import staged
     from stcal.calibration import load, sha256_of
     from stcal.errors import UsageError
 
     if batch == (filtering.method is not None):
         raise UsageError("say how to fit: --batch or --sequential METHOD")
     filtering.check(batch)
-    output_folder(out)
+    own_folder(out)
     parent = load(initial)
     inputs = read_inputs(selection)
     inputs = replace(inputs, provenance=inputs.provenance | {"parent_sha256": sha256_of(initial)})
     residual = _residual(residual_name, groups, values)
     names = None if parameters is None else tuple(p.strip() for p in parameters.split(","))
     label = f"fit {selection.sensor}"
-    if batch:
-        document, calibration = _batch(inputs, parent, matches, names, residual, workers, label)
-    else:
-        document, calibration = _sequential(
-            inputs, parent, matches, names, residual, workers, label, filtering, out
-        )
-    _write(document, calibration, out)
+    # The calibration goes first and comes last: it is always that of the other files.
+    with staged(out, last=FITTED) as stage:
+        if batch:
+            document, calibration = _batch(inputs, parent, matches, names, residual, workers, label)
+        else:
+            document, calibration = _sequential(
+                inputs, parent, matches, names, residual, workers, label, filtering, stage
+            )
+        _write(document, calibration, stage)
     conclude(document, as_json, lambda console: _tables(document, console))
 
 
@@ -168,7 +171,6 @@ def _sequential(
             inputs.batches, parent, inputs.matcher, inputs.provenance, variant, states, before,
             mapper, bar.advance,
         )  # fmt: skip
-    (out / FITTED).unlink(missing_ok=True)
     for name, run in result.runs.items():
         history = HISTORY if name == "constant" else f"{name}-{HISTORY}"
         write_history(run.history, run.filter, out / history)
@@ -177,10 +179,8 @@ def _sequential(
 
 
 def _write(document: dict[str, Any], calibration: Calibration | None, out: Path) -> None:
-    """Write a fit's files; the calibration goes first and comes last: it is always theirs."""
     from stcal.calibration import save
 
-    (out / FITTED).unlink(missing_ok=True)
     write_documents(document, out / DOCUMENT, out / REPORT)
     if calibration is not None:
         save(calibration, out / FITTED)

@@ -9,7 +9,7 @@ import click
 
 from stcal.cli.inputs import MATCHING, OUT, Selection, read_inputs, store_options
 from stcal.cli.output import emit, progress
-from stcal.cli.paths import output_folder
+from stcal.cli.paths import own_folder
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -41,7 +41,7 @@ def command(
     from stcal.pipeline.fit import check_calibration
     from stcal.telemetry.matches import summary, write_attitudes, write_matches
 
-    output_folder(out)
+    own_folder(out)
     chosen = load(calibration)
     inputs = read_inputs(selection)
     check_calibration(chosen, inputs.matcher.config, selection.sensor)

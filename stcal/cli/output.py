@@ -41,9 +41,31 @@ def emit(document: dict[str, Any], as_json: bool, human: Callable[[Console], Non
     if as_json:
         click.echo(json.dumps(document, indent=1, allow_nan=False))
         return
-    from rich.console import Console
+    human(_console())
 
-    human(Console())
+
+def plain(text: str) -> str:
+    """Return text with everything that would steer a terminal as an escape such as ``\\x1b``."""
+    return "".join(c if c.isprintable() or c in "\n\t" else _escape(c) for c in text)
+
+
+def _escape(character: str) -> str:
+    return character.encode("unicode_escape", "surrogatepass").decode("ascii")
+
+
+def _console() -> Console:
+    """Return a console on which names from files are text: no markup, no escape sequences."""
+    from rich.console import Console, ConsoleOptions, RenderableType
+    from rich.segment import Segment
+
+    class Plain(Console):
+        def render(
+            self, renderable: RenderableType, options: ConsoleOptions | None = None
+        ) -> Iterator[Segment]:
+            for one in super().render(renderable, options):
+                yield one if one.control else Segment(plain(one.text), one.style)
+
+    return Plain(markup=False, emoji=False)
 
 
 def conclude(document: dict[str, Any], as_json: bool, human: Callable[[Console], None]) -> None:

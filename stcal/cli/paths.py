@@ -5,6 +5,9 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import click
+
+from stcal.atomic import locked
 from stcal.errors import InputError
 
 
@@ -41,4 +44,25 @@ def output_folder(path: Path) -> Path:
         raise InputError(f"{path}: cannot be made: {error.strerror}") from None
     if not os.access(path, os.W_OK):
         raise InputError(f"{path}: not writable")
+    return path
+
+
+def own_folder(path: Path) -> Path:
+    """Make the folder of a command's output, held until the command ends.
+
+    Two commands at a time would leave the document of one beside the calibration of the other.
+
+    Raises
+    ------
+    InputError
+        Naming the folder and what is wrong with it, or that another process writes into it.
+    """
+    output_folder(path)
+    try:
+        click.get_current_context().with_resource(locked(path))
+    except BlockingIOError:
+        raise InputError(
+            f"{path}: another process is writing into this folder; wait for its end, or name "
+            "another folder"
+        ) from None
     return path

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from stcal.cli.inputs import JSON, STORE
-from stcal.cli.output import emit
+from stcal.cli.output import emit, plain
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -152,7 +152,7 @@ def _print_records(records: list[dict[str, Any]], console: Console) -> None:
         raw = bytes.fromhex(record["hex"])
         text = record["text"]
         lines += hex_dump(raw, record["offset"]) if text is None else [text]
-        click.echo("\n".join(lines) + "\n")
+        click.echo(plain("\n".join(lines)) + "\n")
 
 
 def _retry_table(document: dict[str, Any], console: Console) -> None:

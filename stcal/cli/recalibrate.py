@@ -9,7 +9,7 @@ import click
 
 from stcal.cli.inputs import JSON
 from stcal.cli.output import emit, progress, write_documents
-from stcal.cli.paths import output_folder
+from stcal.cli.paths import own_folder
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -44,7 +44,7 @@ def command(context: click.Context, plan: Path, workers: int, as_json: bool) -> 
 
     file = load_plan(plan)
     file.sources()  # a name that finds nothing is told before the work
-    output_folder(file.out)
+    own_folder(file.out)
     total = 1 + STEPS_PER_SENSOR * len(file.plan.sensors)
     with scheduler(workers) as mapper, progress("recalibrate", total=total) as bar:
 

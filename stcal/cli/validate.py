@@ -9,7 +9,7 @@ import click
 
 from stcal.cli.inputs import MATCHING, OUT, Selection, read_inputs, store_options
 from stcal.cli.output import conclude, progress, write_documents
-from stcal.cli.paths import output_folder
+from stcal.cli.paths import own_folder
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -39,7 +39,7 @@ def command(
     from stcal.execution import scheduler
     from stcal.pipeline.validate import validate
 
-    output_folder(out)
+    own_folder(out)
     old, new = load(baseline), load(candidate)
     inputs = read_inputs(selection)
     hashes = {

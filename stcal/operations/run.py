@@ -169,7 +169,9 @@ def _one_sensor(file: PlanFile, sensor: Sensor, runner: Runner, on_step: OnStep)
         outcomes.append(Outcome("store", error.exit_code, str(error), 0.0))
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
-        outcomes.append(Outcome("files", 1, f"{where}{error.strerror or error}", 0.0))
+        outcomes.append(
+            Outcome("files", InputError.exit_code, f"{where}{error.strerror or error}", 0.0)
+        )
     _report(file.out / sensor.sensor_id, outcomes, runner)
     return SensorRun(sensor, tuple(outcomes))
 

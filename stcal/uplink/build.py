@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from stcal.atomic import TEMPORARY_PREFIX, write_bytes
+from stcal.atomic import TEMPORARY_PREFIX, locked, write_bytes
 from stcal.calibration import Calibration, canonical_json, load, sha256_of
 from stcal.config import SensorConfig
 from stcal.errors import GateRefusalError, InputError
@@ -216,6 +216,14 @@ def _place(files: dict[str, bytes], out: Path, folder: Path) -> bool:
         out.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):
         raise InputError(f"{out}: not a directory") from None
+    try:
+        with locked(out):
+            return _place_locked(files, out, folder)
+    except BlockingIOError:
+        raise InputError(f"{out}: another process is building here; wait for its end") from None
+
+
+def _place_locked(files: dict[str, bytes], out: Path, folder: Path) -> bool:
     temporary = Path(tempfile.mkdtemp(prefix=TEMPORARY_PREFIX, dir=out))
     try:
         for name, content in files.items():

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from stcal.calibration import Calibration, canonical_json
+from stcal.calibration import Calibration, file_text
 from stcal.units import unit_of
 
 CALIBRATION_FILE = "calibration.json"
@@ -22,7 +22,7 @@ TABLE_HEADER = ("name", "value", "unit", "sd", "parent_value", "change", "change
 
 def encode_calibration(calibration: Calibration) -> bytes:
     """Return the calibration file of formats.md, canonical."""
-    return canonical_json(calibration.to_json()).encode("utf-8")
+    return file_text(calibration).encode("utf-8")
 
 
 def encode_table(calibration: Calibration, parent: Calibration) -> bytes:
