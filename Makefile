@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 RUN := run
 SENSORS := 1 2 3 4 5 6
 
-.PHONY: run test check bench study sample clean
+.PHONY: run test check chaos bench study sample clean
 
 # The stamp is newer than pyproject.toml when the environment is up to date.
 $(VENV)/.installed: pyproject.toml
@@ -29,6 +29,11 @@ check: $(VENV)/.installed
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -n auto --dist worksteal
+
+# Kills, full disks and damage at every touch of the disk; `make test` has a short form of it.
+chaos: $(VENV)/.installed
+	STCAL_CHAOS=1 STCAL_KILLS=200 $(BIN)/python -m pytest tests/chaos tests/hostile \
+	  tests/telemetry/test_ingest_kill.py
 
 bench: $(VENV)/.bench
 	@mkdir -p bench
