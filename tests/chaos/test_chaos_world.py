@@ -15,7 +15,6 @@ from chaos_scene import LONG, ROOT, snapshot, told, whole
 from stcal.atomic import locked
 from stcal.telemetry.store import Store
 
-
 KILLS = 10
 
 
@@ -62,7 +61,7 @@ def test_zones_encodings_and_names_leave_no_trace(scene, tmp_path, environment):
     command = ["ingest", *sorted(folder.iterdir()), "--store", folder / "store",
                "--config", ROOT / "configs" / "st16.toml"]  # fmt: skip
     run = process(command, **environment)
-    out, err = run.communicate(timeout=120)
+    _, err = run.communicate(timeout=120)
     assert run.returncode == 0, err
     expected = {name.removeprefix("store/"): digest
                 for name, digest in scene.reference["ingest"].items()
