@@ -33,7 +33,7 @@ from timing import alternating_times, available, summary
 from stcal.estimators.batch import covariance_from
 from stcal.execution import serial
 from stcal.matching import match
-from stcal.pipeline.cycles import solve, with_estimated
+from stcal.pipeline.fitting import solve, with_estimated
 from stcal.pipeline.parameters import parameter_scale
 from stcal.residuals import bind_arclength, select_stars
 

@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import chi2
 
+from stcal.attitude import mean_rotation
 from stcal.cameras import Camera
 from stcal.catalog.catalogue import load_bundled, select
 from stcal.config import load_config
 from stcal.matching import Matcher, match
-from stcal.pipeline.alignment import attitude_change
 from stcal.pipeline.fit import fit_batch
 from stcal.pipeline.parameters import parameter_scale
 from stcal.pipeline.validate import compare
@@ -90,15 +90,15 @@ def six_sensors(seed: int, matcher: Matcher) -> list[dict]:
         frames, fitted = data.validation.frames, result.calibration
         change = compare([frames], data.initial, fitted, matcher)
         truth = compare([frames], data.true, fitted, matcher)
-        turn = attitude_change(change.matched[0], data.initial.c_sd, change.matched[1], fitted.c_sd)
+        turn = mean_rotation(change.turns)
         from stcal.geometry.rotations import vector_from_matrix
 
         offset = np.abs(vector_from_matrix(turn.c[None])[0] / turn.spread).max()
-        counted = change.counted
+        counted = change.counted.sum()
         row = {
             "sensor": number,
-            "availability_initial": float(change.fixed[0][counted].mean()),
-            "availability_final": float(change.fixed[1][counted].mean()),
+            "availability_initial": float(change.fixed[0].sum() / counted),
+            "availability_final": float(change.fixed[1].sum() / counted),
             "matched_star_ratio": float(change.stars[1].sum() / change.stars[0].sum()),
             "rms_initial_urad": change.sums[0].rms_rad * 1e6,
             "rms_final_urad": truth.sums[1].rms_rad * 1e6,

@@ -14,6 +14,10 @@ class StcalError(Exception):
     document: dict[str, Any] | None = None
 
 
+class WorkerError(StcalError):
+    """Work that was given to other processes or machines came to nothing."""
+
+
 class UsageError(StcalError):
     """The command line asks for something that makes no sense."""
 

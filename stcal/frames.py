@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,25 @@ _PER_FRAME = (
     "pos_km",
     "vel_km_s",
 )
+
+
+class Fragment(Protocol):
+    """Consecutive frames of one sensor, in memory or still in a store."""
+
+    @property
+    def sensor_id(self) -> str:
+        """The sensor's name."""
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames F."""
+
+    @property
+    def span_tai_ns(self) -> tuple[int, int]:
+        """Times of the first and the last frame."""
+
+    def read(self) -> FrameBatch:
+        """Return the frames."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +98,15 @@ class FrameBatch:
         return len(self.frame_id)
 
     @property
+    def span_tai_ns(self) -> tuple[int, int]:
+        """Times of the first and the last frame."""
+        return int(self.t_tai_ns.min()), int(self.t_tai_ns.max())
+
+    def read(self) -> FrameBatch:
+        """Return itself: frames in memory are a fragment too."""
+        return self
+
+    @property
     def n_exposures(self) -> int:
         """Number of exposures E = 2 F."""
         return EXPOSURES_PER_FRAME * self.n_frames
@@ -102,6 +131,11 @@ class FrameBatch:
         """(F,) whether the telemetry carries a quaternion."""
         return np.asarray(np.isfinite(self.q_si).all(axis=1))
 
+    @property
+    def without_velocity(self) -> int:
+        """Number of frames in which the spacecraft's velocity is unknown."""
+        return int((~np.isfinite(self.vel_km_s).all(axis=1)).sum())
+
     @cached_property
     def counts_for_availability(self) -> Bools:
         """(F,) frames outside eclipse and intrusion."""
@@ -119,8 +153,13 @@ class FrameBatch:
 def _with_exposures(frames: NDArray[np.bool_] | Ints) -> tuple[Ints, Ints]:
     """Return the indices of selected frames, and those of their exposures."""
     index: Ints = np.flatnonzero(frames) if frames.dtype == np.bool_ else np.asarray(frames, int)
-    exposures = EXPOSURES_PER_FRAME * index[:, None] + np.arange(EXPOSURES_PER_FRAME)
-    return index, exposures.ravel()
+    return index, exposures_of(index)
+
+
+def exposures_of(frames: Ints) -> Ints:
+    """Return the indices (2 K,) of the exposures of frames (K,)."""
+    both = EXPOSURES_PER_FRAME * frames[:, None] + np.arange(EXPOSURES_PER_FRAME)
+    return np.asarray(both.ravel())
 
 
 def take_ranges(offsets: Ints, which: Ints) -> tuple[Ints, Ints]:

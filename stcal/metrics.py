@@ -66,16 +66,40 @@ class Interval:
     high: float
 
 
+@dataclass(frozen=True)
+class Blocks:
+    """Blocks of consecutive frames that are summed before resampling: at most one a frame.
+
+    They bound what a long run costs and keep the correlation of neighbouring frames.
+
+    Attributes
+    ----------
+    edges : (B,) number of the first frame of each block, from 0
+    """
+
+    edges: Ints
+
+    @staticmethod
+    def over(frames: int) -> Blocks:
+        """Return nearly equal blocks of so many frames, each frame its own while they are few."""
+        count = min(frames, _LARGEST_RESAMPLE)
+        return Blocks(np.linspace(0, frames, count, endpoint=False).astype(np.int64))
+
+    def sum(self, first: int, columns: Floats) -> Floats:
+        """Return (B, C) sums of columns (F, C) of consecutive frames from ``first`` on."""
+        block = np.searchsorted(self.edges, first + np.arange(len(columns)), side="right") - 1
+        sums = [np.bincount(block, column, minlength=len(self.edges)) for column in columns.T]
+        return np.stack(sums, axis=1)
+
+
 def bootstrap(
     statistic: Callable[[Floats], Floats], columns: Floats, confidence: float, seed: int = 0
 ) -> Interval:
     """Percentile interval of a statistic of sums over frames (Efron 1979).
 
-    ``columns`` (F, C) are resampled by frame; ``statistic`` maps sums (B, C) to values (B,).
-    Longer sets are first summed in blocks of consecutive frames, which also keeps their
-    correlation.
+    ``columns`` (B, C) by frame, or by block of frames, are resampled; ``statistic`` maps sums
+    (R, C) to values (R,).
     """
-    columns = _blocks(columns)
     count = len(columns)
     value = float(statistic(columns.sum(axis=0, keepdims=True))[0])
     if count == 0:
@@ -89,13 +113,6 @@ def bootstrap(
     tail = 50.0 * (1.0 - confidence)
     low, high = np.percentile(values, [tail, 100.0 - tail])
     return Interval(value, float(low), float(high))
-
-
-def _blocks(columns: Floats) -> Floats:
-    if len(columns) <= _LARGEST_RESAMPLE:
-        return columns
-    edges = np.linspace(0, len(columns), _LARGEST_RESAMPLE, endpoint=False).astype(int)
-    return np.asarray(np.add.reduceat(columns, edges, axis=0))
 
 
 def ratio(sums: Floats) -> Floats:
@@ -148,8 +165,9 @@ def cell_of(row_px: Floats, col_px: Floats, camera: Camera, cells: tuple[int, in
     return np.asarray(i * cells[1] + j)
 
 
-def coverage(row_px: Floats, col_px: Floats, camera: Camera) -> float:
-    """Share of detector cells (8 along the longer side) that hold a star."""
+def occupied_cells(row_px: Floats, col_px: Floats, camera: Camera) -> NDArray[np.bool_]:
+    """Return which detector cells (8 along the longer side) hold a star; their mean is coverage."""
     cells = detector_cells(camera.rows, camera.cols, across=8)
-    occupied = np.unique(cell_of(row_px, col_px, camera, cells))
-    return len(occupied) / (cells[0] * cells[1])
+    occupied = np.zeros(cells[0] * cells[1], dtype=np.bool_)
+    occupied[cell_of(row_px, col_px, camera, cells)] = True
+    return occupied

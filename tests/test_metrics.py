@@ -4,9 +4,10 @@ from conftest import simulation, st16_config, st16_matcher
 
 from stcal.matching import match
 from stcal.metrics import (
+    Blocks,
     bootstrap,
-    coverage,
     difference,
+    occupied_cells,
     pair_sums,
     ratio,
     residual_vectors,
@@ -49,7 +50,9 @@ def test_bootstrap_of_a_mean_is_students_interval():
 
 def test_bootstrap_of_long_sets_keeps_the_value_and_the_width():
     values = np.random.default_rng(8).normal(3.0, 2.0, 20_000)
-    interval = bootstrap(ratio, np.column_stack([values, np.ones(20_000)]), 0.95)
+    interval = bootstrap(
+        ratio, Blocks.over(20_000).sum(0, np.column_stack([values, np.ones(20_000)])), 0.95
+    )
     assert interval.value == pytest.approx(values.mean())
     assert interval.high - interval.low == pytest.approx(2 * 1.96 * 2 / np.sqrt(20_000), rel=0.1)
 
@@ -74,7 +77,7 @@ def test_residual_vectors_have_the_noise_of_the_centroids(scene):
 
 def test_coverage_counts_cells(scene):
     camera = scene[0].true.camera
-    assert coverage(np.array([0.0]), np.array([0.0]), camera) == pytest.approx(1 / 48)
+    assert occupied_cells(np.array([0.0]), np.array([0.0]), camera).mean() == pytest.approx(1 / 48)
     m, n = np.meshgrid(np.arange(0, 1944, 50.0), np.arange(0, 2592, 50.0))
-    assert coverage(m.ravel(), n.ravel(), camera) == 1.0
-    assert coverage(m[m < 972], n[m < 972], camera) == 0.5
+    assert occupied_cells(m.ravel(), n.ravel(), camera).mean() == 1.0
+    assert occupied_cells(m[m < 972], n[m < 972], camera).mean() == 0.5

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from stcal.cli.inputs import MATCHING, OUT, Selection, read_inputs, store_options
+from stcal.cli.inputs import MATCHING, OUT, Selection, Workforce, read_inputs, store_options
 from stcal.cli.output import conclude, progress, write_documents
 from stcal.cli.paths import own_folder
 from stcal.errors import InputError, UsageError
@@ -108,7 +108,7 @@ def command(
     matching: str,
     out: Path,
     selection: Selection,
-    workers: int,
+    workforce: Workforce,
     as_json: bool,
 ) -> None:
     """Estimate the rotation from the spacecraft's body frame to the sensor's frame.
@@ -118,7 +118,6 @@ def command(
     --out; an alignment that a gate refuses has no result and ends with exit code 4.
     """
     from stcal.calibration import load, sha256_of
-    from stcal.execution import scheduler
     from stcal.pipeline.align import AlignOptions, align
 
     source = BodySource(body, body_sensor, body_calibration)
@@ -128,7 +127,7 @@ def command(
     chosen = load(calibration)
     inputs = read_inputs(selection)
     provenance = inputs.provenance | {"calibration_sha256": sha256_of(calibration)}
-    with scheduler(workers) as mapper, progress(f"align {selection.sensor}"):
+    with workforce.map() as mapper, progress(f"align {selection.sensor}"):
         attitudes = _attitudes(source, selection, matching, mapper)
         document = align(
             inputs.batches, chosen, attitudes, inputs.matcher, provenance, options, mapper

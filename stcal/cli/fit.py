@@ -9,18 +9,15 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from stcal.cli.filter_options import FilterOptions, filter_options
-from stcal.cli.inputs import OUT, Inputs, Selection, read_inputs, store_options
-from stcal.cli.output import (
-    conclude,
-    progress,
-    write_documents,
-)
+from stcal.cli.inputs import OUT, Inputs, Selection, Workforce, read_inputs, store_options
+from stcal.cli.output import conclude, progress, watched, write_documents
 from stcal.cli.paths import own_folder
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from stcal.calibration import Calibration
+    from stcal.execution import OrderedMap
     from stcal.residuals import Residual
 
 FITTED, DOCUMENT, REPORT = "calibration.json", "fit.json", "report.html"
@@ -67,7 +64,7 @@ def command(
     values: str | None,
     out: Path,
     selection: Selection,
-    workers: int,
+    workforce: Workforce,
     as_json: bool,
 ) -> None:
     """Refit the camera and update C_SD, with --batch or --sequential METHOD.
@@ -85,20 +82,24 @@ def command(
     filtering.check(batch)
     own_folder(out)
     parent = load(initial)
-    inputs = read_inputs(selection)
-    inputs = replace(inputs, provenance=inputs.provenance | {"parent_sha256": sha256_of(initial)})
     residual = _residual(residual_name, groups, values)
     names = None if parameters is None else tuple(p.strip() for p in parameters.split(","))
     label = f"fit {selection.sensor}"
-    # The calibration goes first and comes last: it is always that of the other files.
-    with staged(out, last=FITTED) as stage:
-        if batch:
-            document, calibration = _batch(inputs, parent, matches, names, residual, workers, label)
-        else:
-            document, calibration = _sequential(
-                inputs, parent, matches, names, residual, workers, label, filtering, stage
-            )
-        _write(document, calibration, stage)
+    with workforce.map() as mapper:
+        inputs = read_inputs(selection, mapper)
+        parentage = {"parent_sha256": sha256_of(initial)}
+        inputs = replace(inputs, provenance=inputs.provenance | parentage)
+        # The calibration goes first and comes last: it is always that of the other files.
+        with staged(out, last=FITTED) as stage:
+            if batch:
+                document, calibration = _batch(
+                    inputs, parent, matches, names, residual, mapper, label, out
+                )
+            else:
+                document, calibration = _sequential(
+                    inputs, parent, matches, names, residual, mapper, label, filtering, stage
+                )
+            _write(document, calibration, stage)
     conclude(document, as_json, lambda console: _tables(document, console))
 
 
@@ -132,17 +133,18 @@ def _batch(
     matches: str,
     names: tuple[str, ...] | None,
     residual: Residual,
-    workers: int,
+    mapper: OrderedMap,
     label: str,
+    out: Path,
 ) -> tuple[dict[str, Any], Calibration | None]:
-    from stcal.execution import scheduler
     from stcal.pipeline.fit import fit_batch
+    from stcal.pipeline.scratch import scratch_folder
 
-    limit = inputs.matcher.config.fit.maximum_cycles
-    with scheduler(workers) as mapper, progress(label, total=limit) as bar:
+    with scratch_folder(out) as scratch, progress(label) as bar:
         result = fit_batch(
-            inputs.batches, parent, inputs.matcher, inputs.provenance, matches, names, residual,
-            mapper, lambda cycle: bar.advance(),
+            inputs.fragments, parent, inputs.matcher, inputs.provenance, matches, names, residual,
+            watched(mapper, bar), scratch,
+            lambda cycle: bar.describe(f"{label}, {cycle.name} done"),
         )  # fmt: skip
     return result.document, result.calibration
 
@@ -153,12 +155,11 @@ def _sequential(
     matches: str,
     names: tuple[str, ...] | None,
     residual: Residual,
-    workers: int,
+    mapper: OrderedMap,
     label: str,
     filtering: FilterOptions,
     out: Path,
 ) -> tuple[dict[str, Any], Calibration | None]:
-    from stcal.execution import scheduler
     from stcal.pipeline.filter_state import StateFile, save_state
     from stcal.pipeline.sequential import fit_sequential
     from stcal.telemetry.history import write_history
@@ -166,7 +167,7 @@ def _sequential(
     variant = filtering.variant(matches, names, residual, inputs.matcher.config)
     setting = filtering.setting(variant, parent, inputs.provenance)
     states, before = filtering.earlier(setting, HISTORY)
-    with scheduler(workers) as mapper, progress(label, total=len(inputs.batches)) as bar:
+    with progress(label, total=len(inputs.fragments)) as bar:
         result = fit_sequential(
             inputs.batches, parent, inputs.matcher, inputs.provenance, variant, states, before,
             mapper, bar.advance,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
@@ -13,9 +14,10 @@ import click
 
 if TYPE_CHECKING:
     from stcal.config import SensorConfig
+    from stcal.execution import OrderedMap
     from stcal.frames import FrameBatch
     from stcal.matching import Matcher
-    from stcal.telemetry.store import Store
+    from stcal.telemetry.store import Fragment, Store
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -32,14 +34,19 @@ CONFIG = click.option(
     type=click.Path(path_type=Path),
     help="Sensor configuration; the one that ingest recorded in the store if not given.",
 )
-# Small enough to share a night's telemetry among cores; the same whatever their number, so that
-# results are too.
-FRAGMENT_FRAMES = 256
 WORKERS = click.option(
     "--workers",
     type=click.IntRange(1, 256),
     default=lambda: min(os.cpu_count() or 1, 4),
-    help="Threads; the processor's cores up to 4 if not given. The result is the same.",
+    help="Workers; the processor's cores up to 4 if not given. The result is the same.",
+)
+SCHEDULER = click.option(
+    "--scheduler",
+    "scheduler_name",
+    default="threads",
+    show_default=True,
+    metavar="NAME",
+    help="serial, threads, processes, or the address of a Dask scheduler such as tcp://host:8786.",
 )
 MATCHING = click.option(
     "--matching",
@@ -63,8 +70,34 @@ class Selection:
     stop: str | None
 
 
+@dataclass(frozen=True)
+class Workforce:
+    """How a command's work is scheduled; the result doesn't depend on it."""
+
+    workers: int
+    scheduler: str
+
+    def map(self) -> AbstractContextManager[OrderedMap]:
+        """Open the ordered map."""
+        from stcal.execution import scheduler
+
+        return scheduler(self.workers, self.scheduler)
+
+
+def workforce_options(function: F) -> F:
+    """Give a command ``--workers`` and ``--scheduler`` as a :class:`Workforce`."""
+
+    @wraps(function)
+    def command(workers: int, scheduler_name: str, **others: Any) -> Any:
+        return function(workforce=Workforce(workers, scheduler_name), **others)
+
+    for option in (SCHEDULER, WORKERS):
+        command = option(command)
+    return command  # type: ignore[return-value]
+
+
 def store_options(function: F) -> F:
-    """Give a command ``--json``, ``--workers`` and the options of a :class:`Selection`."""
+    """Give a command ``--json``, a :class:`Selection` and a :class:`Workforce`."""
 
     @wraps(function)
     def command(
@@ -77,36 +110,42 @@ def store_options(function: F) -> F:
     ) -> Any:
         return function(selection=Selection(store, sensor, config, start, stop), **others)
 
-    for option in (JSON, WORKERS, TO, FROM, CONFIG, SENSOR, STORE):
+    command = workforce_options(command)
+    for option in (JSON, TO, FROM, CONFIG, SENSOR, STORE):
         command = option(command)
     return command  # type: ignore[return-value]
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """One sensor's frames with what is needed to process them."""
+    """One sensor's frames, not yet read, with what is needed to process them."""
 
-    batches: list[FrameBatch]
+    fragments: list[Fragment]
     matcher: Matcher
     provenance: dict[str, Any]
 
+    @property
+    def batches(self) -> list[FrameBatch]:
+        """All frames, for work that needs them in memory."""
+        return [fragment.read() for fragment in self.fragments]
 
-def read_inputs(selection: Selection) -> Inputs:
-    """Read a sensor's frames of a time range, its configuration and its catalogue."""
+
+def read_inputs(selection: Selection, mapper: OrderedMap | None = None) -> Inputs:
+    """Find a sensor's frames of a time range, its configuration and its catalogue."""
     from stcal.catalog.catalogue import catalogue_sha256, select
     from stcal.config import config_sha256
     from stcal.errors import ConfigError, UsageError
+    from stcal.execution import serial
     from stcal.matching import Matcher
     from stcal.pipeline.describe import span_of
-    from stcal.telemetry.content import content_sha256
-    from stcal.telemetry.store import Store, read_fragment
+    from stcal.telemetry.store import Store, fragments_sha256
     from stcal.version import __version__
 
     limits = parse_time(selection.start, "--from"), parse_time(selection.stop, "--to")
     if limits[0] is not None and limits[1] is not None and limits[0] >= limits[1]:
         raise UsageError(f"--from {selection.start} is not before --to {selection.stop}")
     opened, sensor = Store.open(selection.store), selection.sensor
-    fragments = opened.fragments(sensor, *limits, FRAGMENT_FRAMES)
+    fragments = opened.fragments(sensor, *limits)
     settings = load_settings(opened, sensor, selection.config)
     section = settings.catalogue
     full = load_catalogue(settings)
@@ -117,15 +156,14 @@ def read_inputs(selection: Selection) -> Inputs:
             f"beyond the catalogue, which ends at {faintest:.2f}"
         )
     chosen = select(full, section.limiting_magnitude, section.merge_separation_arcsec)
-    batches = [read_fragment(fragment) for fragment in fragments]
     provenance = {
-        "telemetry_sha256": content_sha256(sensor, batches),
+        "telemetry_sha256": fragments_sha256(sensor, fragments, mapper or serial),
         "catalogue_sha256": catalogue_sha256(full),
         "config_sha256": config_sha256(settings),
         "software": f"stcal {__version__}",
-        **span_of(batches),
+        **span_of(fragments),
     }
-    return Inputs(batches, Matcher(chosen, settings), provenance)
+    return Inputs(fragments, Matcher(chosen, settings), provenance)
 
 
 def load_catalogue(settings: SensorConfig) -> Any:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from stcal.cli.inputs import MATCHING, OUT, Selection, read_inputs, store_options
-from stcal.cli.output import emit, progress
+from stcal.cli.inputs import MATCHING, OUT, Selection, Workforce, read_inputs, store_options
+from stcal.cli.output import emit, progress, watched
 from stcal.cli.paths import own_folder
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ def command(
     matching: str,
     out: Path,
     selection: Selection,
-    workers: int,
+    workforce: Workforce,
     as_json: bool,
 ) -> None:
     """Identify stars and solve attitudes.
@@ -33,31 +33,19 @@ def command(
     Writes matches.parquet (one row per star of every exposure) and attitudes.parquet (one row per
     frame: the quaternion of its better exposure) into --out.
     """
-    from functools import partial
-
     from stcal.calibration import load
-    from stcal.execution import scheduler
-    from stcal.matching import match
     from stcal.pipeline.fit import check_calibration
-    from stcal.telemetry.matches import summary, write_attitudes, write_matches
+    from stcal.telemetry.matches import MakeTables, summary, write_tables
 
     own_folder(out)
     chosen = load(calibration)
-    inputs = read_inputs(selection)
-    check_calibration(chosen, inputs.matcher.config, selection.sensor)
-    task = partial(
-        match, camera=chosen.camera, c_sd=chosen.c_sd, matcher=inputs.matcher, method=matching
-    )
-    matched = []
-    with scheduler(workers) as mapper, progress("match", total=len(inputs.batches)) as bar:
-        for part in mapper(task, inputs.batches):
-            matched.append(part)
-            bar.advance()
-    catalogue = inputs.matcher.catalogue
-    write_matches(matched, catalogue, out / "matches.parquet")
-    noise = inputs.matcher.config.noise
-    write_attitudes(matched, chosen, noise, out / "attitudes.parquet")
-    document = {"sensor_id": selection.sensor, "matching": matching} | summary(matched)
+    with workforce.map() as mapper, progress(f"match {selection.sensor}") as bar:
+        shown = watched(mapper, bar)
+        inputs = read_inputs(selection, shown)
+        check_calibration(chosen, inputs.matcher.config, selection.sensor)
+        parts = shown(MakeTables(chosen, inputs.matcher, matching), inputs.fragments)
+        counts = write_tables(parts, out / "matches.parquet", out / "attitudes.parquet")
+    document = {"sensor_id": selection.sensor, "matching": matching} | summary(counts)
     emit(document, as_json, lambda console: _table(document, console))
 
 

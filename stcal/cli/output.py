@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import click
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from stcal.execution import OrderedMap
+
+T = TypeVar("T")
+U = TypeVar("U")
 
 
 class Progress(Protocol):
@@ -24,9 +29,15 @@ class Progress(Protocol):
     def describe(self, text: str) -> None:
         """Change the text in front of the bar."""
 
+    def restart(self, total: float) -> None:
+        """Begin a new count of steps."""
+
 
 class _Silent:
     def advance(self, n: float = 1.0) -> None:
+        return
+
+    def restart(self, total: float) -> None:
         return
 
     def describe(self, text: str) -> None:
@@ -95,6 +106,19 @@ def write_documents(document: dict[str, Any], path: Path, report: Path) -> None:
     write_report(document, report)
 
 
+def watched(mapper: OrderedMap, bar: Progress) -> OrderedMap:
+    """Return the map with each of its passes shown by the bar."""
+
+    def mapped(function: Callable[[T], U], items: Iterable[T]) -> Iterator[U]:
+        listed = list(items)
+        bar.restart(len(listed))
+        for result in mapper(function, listed):
+            bar.advance()
+            yield result
+
+    return mapped
+
+
 @contextmanager
 def progress(description: str, total: float | None = None) -> Iterator[Progress]:
     """Show a progress bar on standard error, on a terminal only."""
@@ -117,3 +141,6 @@ class _Bar:
 
     def describe(self, text: str) -> None:
         self._bar.update(self._task, description=text)
+
+    def restart(self, total: float) -> None:
+        self._bar.reset(self._task, total=total)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from stcal.cli.inputs import MATCHING, OUT, Selection, read_inputs, store_options
-from stcal.cli.output import conclude, progress, write_documents
+from stcal.cli.inputs import MATCHING, OUT, Selection, Workforce, read_inputs, store_options
+from stcal.cli.output import conclude, progress, watched, write_documents
 from stcal.cli.paths import own_folder
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ def command(
     matching: str,
     out: Path,
     selection: Selection,
-    workers: int,
+    workforce: Workforce,
     as_json: bool,
 ) -> None:
     """Compare availability, matched stars and common-pair RMS of two calibrations.
@@ -36,19 +36,18 @@ def command(
     with confidence ends with exit code 4.
     """
     from stcal.calibration import load, sha256_of
-    from stcal.execution import scheduler
     from stcal.pipeline.validate import validate
 
     own_folder(out)
     old, new = load(baseline), load(candidate)
-    inputs = read_inputs(selection)
-    hashes = {
-        **inputs.provenance,
-        "baseline": sha256_of(baseline),
-        "candidate": sha256_of(candidate),
-    }
-    with scheduler(workers) as mapper, progress(f"validate {selection.sensor}"):
-        document = validate(inputs.batches, old, new, inputs.matcher, hashes, matching, mapper)
+    hashes = {"baseline": sha256_of(baseline), "candidate": sha256_of(candidate)}
+    label = f"validate {selection.sensor}"
+    with workforce.map() as mapper, progress(label) as bar:
+        shown = watched(mapper, bar)
+        inputs = read_inputs(selection, shown)
+        document = validate(
+            inputs.fragments, old, new, inputs.matcher, inputs.provenance | hashes, matching, shown
+        )
     write_documents(document, out / "validation.json", out / "report.html")
     conclude(document, as_json, lambda console: _tables(document, console))
 

@@ -7,18 +7,19 @@ its mean into C_SD gives c_sd(new) = c_sd(old) mean(k), which nulls the mean att
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stcal.attitude import MeanRotation, mean_rotation
+from stcal.attitude import mean_rotation
 from stcal.constants import EXPOSURES_PER_FRAME
-from stcal.frames import MatchedFrames
 from stcal.geometry.rotations import matrix_from_vector, vector_from_matrix
 
 Floats = NDArray[np.float64]
+
+# A mean over more frames gains nothing: its sd is a three hundredth of one frame's.
+MOST_TURNS = 100_000
 
 
 @dataclass(frozen=True)
@@ -41,9 +42,8 @@ class Alignment:
     frames_rejected: int
 
 
-def update_alignment(c_sd: Floats, old_c_di: Floats, new_c_di: Floats) -> Alignment | None:
-    """Return the update from attitudes (E, 3, 3) under both calibrations; None without any."""
-    turns = _frame_turns(c_sd @ old_c_di, c_sd @ new_c_di)
+def update_alignment(c_sd: Floats, turns: Floats) -> Alignment | None:
+    """Return the update from rotations of :func:`frame_turns`, old over new; None without any."""
     mean = mean_rotation(turns)
     if mean is None:
         return None
@@ -58,16 +58,7 @@ def update_alignment(c_sd: Floats, old_c_di: Floats, new_c_di: Floats) -> Alignm
     )
 
 
-def attitude_change(
-    old: Sequence[MatchedFrames], old_c_sd: Floats, new: Sequence[MatchedFrames], new_c_sd: Floats
-) -> MeanRotation | None:
-    """Return the mean rotation in S between attitudes under two calibrations: what users see."""
-    old_si = old_c_sd @ np.concatenate([m.c_di for m in old])
-    new_si = new_c_sd @ np.concatenate([m.c_di for m in new])
-    return mean_rotation(_frame_turns(new_si, old_si))
-
-
-def _frame_turns(a: Floats, b: Floats) -> Floats:
+def frame_turns(a: Floats, b: Floats) -> Floats:
     """Return one rotation a b^T for each frame with an exposure solved in both (E, 3, 3) lists.
 
     The mean of the frame's two exposures: they see nearly the same stars, so that they are no

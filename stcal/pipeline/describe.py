@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -13,11 +12,12 @@ from numpy.typing import NDArray
 from stcal.calibration import Calibration
 from stcal.constants import ARCSEC, URAD
 from stcal.estimators.batch import Observability
-from stcal.frames import FrameBatch
+from stcal.frames import Fragment
 from stcal.matching import Matcher
 from stcal.pipeline.cycles import Cycle
 from stcal.pipeline.estimate import Estimate, Solution
 from stcal.pipeline.numbers import number, numbers
+from stcal.pipeline.pieces import Piece
 from stcal.pipeline.views import residual_views, series
 from stcal.residuals import Residual
 from stcal.times import format_utc
@@ -40,18 +40,17 @@ def header(schema: str, sensor_id: str) -> dict[str, Any]:
     }
 
 
-def span_of(batches: Sequence[FrameBatch]) -> dict[str, Any]:
+def span_of(fragments: Iterable[Fragment]) -> dict[str, Any]:
     """Return the first and the last time of the frames."""
-    first = min(int(b.t_tai_ns.min()) for b in batches)
-    last = max(int(b.t_tai_ns.max()) for b in batches)
-    return {"from": format_utc(first), "to": format_utc(last)}
+    first, last = zip(*(fragment.span_tai_ns for fragment in fragments), strict=True)
+    return {"from": format_utc(min(first)), "to": format_utc(max(last))}
 
 
 def batch_document(
     estimate: Estimate,
     cycles: Sequence[Cycle],
     settled: bool,
-    batches: Sequence[FrameBatch],
+    pieces: Sequence[Piece],
     initial: Calibration,
     matcher: Matcher,
     refusals: list[str],
@@ -60,7 +59,7 @@ def batch_document(
 ) -> dict[str, Any]:
     """Return the document of a batch fit, schema ``stcal.fit/1``."""
     rows = [_cycle(cycles, k, estimate.solution) for k in range(len(cycles))]
-    return fit_document(estimate, batches, initial, matcher, refusals, provenance) | {
+    return fit_document(estimate, pieces, initial, matcher, refusals, provenance) | {
         "method": "batch",
         "matches": matches,
         "cycles": rows,
@@ -70,7 +69,7 @@ def batch_document(
 
 def fit_document(
     estimate: Estimate,
-    batches: Sequence[FrameBatch],
+    pieces: Sequence[Piece],
     initial: Calibration,
     matcher: Matcher,
     refusals: list[str],
@@ -78,30 +77,24 @@ def fit_document(
 ) -> dict[str, Any]:
     """Return what the documents of all estimators share."""
     solution, observed = estimate.solution, estimate.observed
-    selections = [bound.selection for bound in solution.bound]
+    before, after = estimate.baseline, solution.identified
     return {
         **header("stcal.fit/1", initial.sensor_id),
         "residual": _residual(solution.residual),
         "verdict": {
             "accepted": not refusals,
             "reasons": refusals,
-            "notes": notes(batches) + _residual_notes(solution.residual),
+            "notes": notes(before.without_velocity) + _residual_notes(solution.residual),
         },
-        "frames": sum(b.n_frames for b in batches),
-        "frames_solved": {
-            "initial": sum(int(m.frame_solved.sum()) for m in estimate.baseline),
-            "fitted": sum(int(m.frame_solved.sum()) for m in solution.matched),
-        },
-        "matched_stars": {
-            "initial": sum(int(m.is_matched.sum()) for m in estimate.baseline),
-            "fitted": solution.matched_stars,
-        },
-        "exposures_used": sum(s.n_exposures for s in selections),
-        "stars_used": sum(len(s.star) for s in selections),
-        "stars_rejected": solution.rejected,
+        "frames": before.frames,
+        "frames_solved": {"initial": before.frames_solved, "fitted": after.frames_solved},
+        "matched_stars": {"initial": before.matched_stars, "fitted": after.matched_stars},
+        "exposures_used": solution.kept.exposures,
+        "stars_used": solution.kept.stars,
+        "stars_rejected": solution.kept.rejected,
         "residuals": solution.information.rows,
-        "residuals_dependent": solution.dependent,
-        "span": span_of(batches),
+        "residuals_dependent": solution.kept.dependent,
+        "span": span_of(piece.fragment for piece in pieces),
         "parameters": _parameters(solution, initial, matcher),
         "estimated_parameters": solution.estimated_names,
         "covariance": numbers(solution.covariance),
@@ -120,9 +113,9 @@ def fit_document(
         "noise": {"sd_px": matcher.config.noise.sd_px, "scale": number(solution.noise_scale)},
         "coverage": number(estimate.coverage),
         "c_sd": _alignment(estimate),
-        **residual_views(selections, initial.camera, solution.camera),
+        **residual_views(estimate.figures.views, solution.camera),
         "series": series(
-            estimate.baseline, solution.matched, ("matched_initial", "matched_fitted"),
+            before.series, after.series, ("matched_initial", "matched_fitted"),
             ("fix_initial", "fix_fitted"),
         ),
         "provenance": provenance,
@@ -146,9 +139,8 @@ def _residual_notes(residual: Residual) -> list[str]:
     ]
 
 
-def notes(batches: Sequence[FrameBatch]) -> list[str]:
-    """Return what a reader of the result should know about the telemetry."""
-    unknown = sum(int((~np.isfinite(b.vel_km_s).all(axis=1)).sum()) for b in batches)
+def notes(unknown: int) -> list[str]:
+    """Return what a reader should know of frames without the spacecraft's velocity."""
     if not unknown:
         return []
     return [
@@ -173,22 +165,21 @@ def _cycle(cycles: Sequence[Cycle], k: int, solution: Solution) -> dict[str, Any
     moved = None
     if before is not None and np.isfinite(sd).all():
         moved = number(float(np.max(np.abs(cycle.camera.parameters[free] - before) / sd)))
-    squares = sum(float((b.departures(cycle.camera) ** 2).sum()) for b in cycle.arcs)
-    arcs = sum(len(b.arc) for b in cycle.arcs)
+    found = cycle.identified
     return {
         "cycle": k + 1,
         "matching": cycle.matching,
-        "frames_solved": sum(int(m.frame_solved.sum()) for m in cycle.matched),
-        "exposures_solved": sum(int(m.solved.sum()) for m in cycle.matched),
-        "matched_stars": cycle.matched_stars,
-        "matches_changed": cycle.changed,
+        "frames_solved": found.frames_solved,
+        "exposures_solved": found.exposures_solved,
+        "matched_stars": found.matched_stars,
+        "matches_changed": found.changed,
         "iterations": cycle.solution.iterations,
         "converged": cycle.solution.converged,
-        "rms_urad": number(math.sqrt(squares / arcs) / URAD) if arcs else None,
+        "rms_urad": number(cycle.rms / URAD),
         "chi2": number(cycle.solution.chi2),
         "dof": cycle.solution.information.rows - len(free),
         "noise_scale": number(cycle.noise_scale),
-        "stars_rejected": cycle.rejected,
+        "stars_rejected": cycle.kept.rejected,
         "change_sd": moved,
     }
 

@@ -40,12 +40,13 @@ def alignment_document(
 ) -> dict[str, Any]:
     """Return the document; ``result`` is the estimate of ``method``, null when a gate refused."""
     methods = {} if estimate is None else _methods(estimate)
+    without_velocity = sum(batch.without_velocity for batch in batches)
     return {
         **describe.header(SCHEMA, calibration.sensor_id),
         "verdict": {
             "accepted": not reasons,
             "reasons": reasons,
-            "notes": describe.notes(batches) + _noise_notes(estimate),
+            "notes": describe.notes(without_velocity) + _noise_notes(estimate),
         },
         "method": method,
         "result": None if reasons else methods[method],

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from stcal.calibration import Calibration
-from stcal.frames import FrameBatch
 from stcal.matching import Matcher
 from stcal.pipeline.describe import fit_document
 from stcal.pipeline.estimate import Estimate, Solution
@@ -21,6 +20,7 @@ from stcal.pipeline.filter_run import EVENTS, FrameHistory, Run
 from stcal.pipeline.filtering import Filter, Variant
 from stcal.pipeline.numbers import number, numbers
 from stcal.pipeline.parameters import parameter_scale
+from stcal.pipeline.pieces import Piece
 from stcal.times import format_utc
 
 Floats = NDArray[np.float64]
@@ -35,7 +35,7 @@ def sequential_document(
     estimate: Estimate,
     runs: dict[str, Run],
     choice: str,
-    batches: Sequence[FrameBatch],
+    pieces: Sequence[Piece],
     initial: Calibration,
     matcher: Matcher,
     refusals: list[str],
@@ -44,7 +44,7 @@ def sequential_document(
 ) -> dict[str, Any]:
     """Return the document of a sequential fit, schema ``stcal.fit/1``."""
     run = runs[choice]
-    document = fit_document(estimate, batches, initial, matcher, refusals, provenance)
+    document = fit_document(estimate, pieces, initial, matcher, refusals, provenance)
     step = step_to_optimum_sd(estimate.solution, matcher)
     constant = not any((variant.process_noise or {}).values()) and choice == "constant"
     if constant and not step <= _FAR_SD:

@@ -14,13 +14,17 @@ from stcal.config import SensorConfig
 from stcal.errors import GateRefusalError, InputError
 from stcal.estimators.batch import covariance_from
 from stcal.execution import OrderedMap, serial
-from stcal.frames import FrameBatch, MatchedFrames
-from stcal.matching import Matcher, match
+from stcal.frames import Fragment
+from stcal.matching import Matcher
 from stcal.pipeline import describe
 from stcal.pipeline.cycles import Cycle, run_cycles
 from stcal.pipeline.estimate import Estimate, Solution, estimate_of
+from stcal.pipeline.fitting import Fitting
 from stcal.pipeline.gates import batch_refusals
+from stcal.pipeline.identifying import Identified, Identify, series_step, total
 from stcal.pipeline.parameters import embedded, estimated_indices, parameter_scale
+from stcal.pipeline.pieces import Piece, pieces_of
+from stcal.pipeline.scratch import MemoryScratch, Scratch
 from stcal.residuals import ARCLENGTH, Residual
 
 Floats = NDArray[np.float64]
@@ -44,7 +48,7 @@ class FitResult:
 
 
 def fit_batch(
-    batches: Sequence[FrameBatch],
+    fragments: Sequence[Fragment],
     initial: Calibration,
     matcher: Matcher,
     provenance: dict[str, Any],
@@ -52,13 +56,14 @@ def fit_batch(
     parameters: Sequence[str] | None = None,
     residual: Residual = ARCLENGTH,
     mapper: OrderedMap = serial,
+    scratch: Scratch | None = None,
     on_cycle: Callable[[Cycle], None] = lambda cycle: None,
 ) -> FitResult:
     """Refit the camera of ``initial`` to telemetry in cycles of rematching.
 
     Parameters
     ----------
-    batches : the sensor's frames, fragment by fragment in time order
+    fragments : the sensor's frames, or handles to them, in time order
     initial : the calibration to start from
     matcher : catalogue and sensor configuration
     provenance : hashes and time span, stored in the calibration and the document
@@ -66,21 +71,24 @@ def fit_batch(
     parameters : the parameters to estimate, all by default; the others keep their initial values
     residual : what the camera is fitted to
     mapper : ordered map over the fragments
+    scratch : where each fragment's arrays wait between passes; in memory by default
     on_cycle : told about each finished cycle
     """
-    batches = [batch for batch in batches if batch.n_frames]
-    check_calibration(initial, matcher.config, batches[0].sensor_id)
+    pieces = pieces_of(fragments)
+    check_calibration(initial, matcher.config, pieces[0].fragment.sensor_id)
     residual.check()
     free = estimated_indices(parameters, initial.camera.parameter_names)
+    scratch = MemoryScratch() if scratch is None else scratch
     cycles, settled = run_cycles(
-        batches, initial, matcher, matches, residual, free, mapper, on_cycle
+        pieces, initial, matcher, matches, residual, free, scratch, mapper, on_cycle
     )
-    baseline = _baseline(batches, initial, matcher, cycles[0], mapper)
-    solution = _solution(cycles[-1], matcher.config, residual, free)
-    estimate = estimate_of(solution, initial, baseline, matcher, mapper)
+    baseline = _baseline(pieces, initial, matcher, cycles[0], scratch, mapper)
+    fitting = Fitting(scratch, cycles[-1].name, matcher.config, residual, free)
+    solution = _solution(cycles[-1], fitting)
+    estimate = estimate_of(solution, fitting, pieces, initial, baseline, matcher, mapper)
     refusals = batch_refusals(estimate, cycles, settled, initial, matcher.config)
     document = describe.batch_document(
-        estimate, cycles, settled, batches, initial, matcher, refusals, provenance, matches
+        estimate, cycles, settled, pieces, initial, matcher, refusals, provenance, matches
     )
     return FitResult(fitted_calibration(estimate, initial, document), document)
 
@@ -102,43 +110,47 @@ def fitted_calibration(
     )
 
 
-def _solution(cycle: Cycle, config: SensorConfig, residual: Residual, free: Ints) -> Solution:
+def _solution(cycle: Cycle, fitting: Fitting) -> Solution:
     """Return the last cycle as a solution; the noise that the residuals show scales its sd."""
-    scale = parameter_scale(config, cycle.camera.parameter_names)[free]
+    free = fitting.free
+    scale = parameter_scale(fitting.config, cycle.camera.parameter_names)[free]
     try:
         covariance = covariance_from(cycle.solution.information)
     except np.linalg.LinAlgError:
         covariance = np.full((len(free), len(free)), np.nan)
     covariance = covariance * np.outer(scale, scale) * cycle.noise_scale**2
     return Solution(
-        matched=cycle.matched,
-        bound=cycle.arcs,
+        identified=cycle.identified,
+        kept=cycle.kept,
         camera=cycle.camera,
         free=free,
         information=cycle.solution.information,
-        residual=residual,
-        dependent=sum(b.dependent for b in cycle.bound),
+        residual=fitting.residual,
         covariance=embedded(covariance, free, len(cycle.camera.parameters)),
         noise_scale=cycle.noise_scale,
-        rejected=cycle.rejected,
     )
 
 
 def _baseline(
-    batches: Sequence[FrameBatch],
+    pieces: Sequence[Piece],
     initial: Calibration,
     matcher: Matcher,
     first: Cycle,
+    scratch: Scratch,
     mapper: OrderedMap,
-) -> list[MatchedFrames]:
-    """Return the frames as the initial calibration identifies them.
+) -> tuple[str, Identified]:
+    """Return the cycle of what the initial calibration identifies, and its numbers.
 
     Telemetered matches are the sensor's own; they are identified anew, so that before and after
     come from the same matcher.
     """
     if first.matching != "telemetry":
-        return first.matched
-    return list(mapper(lambda b: match(b, initial.camera, initial.c_sd, matcher), batches))
+        return first.name, first.identified
+    identify = Identify(
+        scratch, matcher, initial.camera, initial.c_sd, "baseline", "lost-in-space", None,
+        series_step(pieces),
+    )  # fmt: skip
+    return "baseline", total(mapper(identify, pieces))
 
 
 def check_calibration(calibration: Calibration, config: SensorConfig, sensor_id: str) -> None:

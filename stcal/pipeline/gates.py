@@ -104,8 +104,7 @@ def refusals(
 
 def _too_little(estimate: Estimate, gates: Fit) -> list[str]:
     solution = estimate.solution
-    frames = sum(int(m.frame_solved.sum()) for m in solution.matched)
-    stars = sum(len(b.selection.star) for b in solution.bound)
+    frames, stars = solution.identified.frames_solved, solution.kept.stars
     reasons = []
     if frames < gates.minimum_frames:
         reasons.append(f"{frames} frames identified, at least {gates.minimum_frames} needed")
@@ -135,7 +134,7 @@ def _not_converged(estimate: Estimate, cycles: Sequence[Cycle], settled: bool) -
     if not settled and moved > _UNSETTLED_SD:
         reasons.append(
             f"the matched set did not settle in {len(cycles)} cycles: the last one "
-            f"changed {last.changed} matches and moved a parameter by {moved:.1f} sd"
+            f"changed {last.identified.changed} matches and moved a parameter by {moved:.1f} sd"
         )
     return reasons
 

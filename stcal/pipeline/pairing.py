@@ -19,8 +19,8 @@ from stcal.execution import OrderedMap, serial
 from stcal.frames import FrameBatch, MatchedFrames
 from stcal.matching import Matcher, match
 from stcal.pipeline.body_attitude import BodyAttitudes, attitudes_at
-from stcal.pipeline.cycles import without_outliers
 from stcal.pipeline.fit import check_calibration
+from stcal.residuals.departures import without_outliers
 from stcal.residuals.selection import StarSelection, select_stars
 
 Floats = NDArray[np.float64]
@@ -64,7 +64,10 @@ def first_exposures(
     task = partial(match, camera=camera, c_sd=c_sd, matcher=matcher, method=matching)
     matched = list(mapper(task, batches))
     everything = [_of_first_exposures(m, matcher) for m in matched]
-    kept = without_outliers(everything, camera, matcher.config, mapper)
+    rules = matcher.config.fit
+    kept = without_outliers(
+        everything, camera, rules.rejection_sigma, rules.minimum_stars_per_exposure
+    )
     row, col, sd_px, s_i = (
         np.concatenate([getattr(s, name) for s in kept])
         for name in ("row_px", "col_px", "sd_px", "s_i")

@@ -23,16 +23,18 @@ from stcal.frames import FrameBatch, MatchedFrames
 from stcal.matching import Matcher, match
 from stcal.matching.identify import rematch_given, telemetered_matches
 from stcal.pipeline import describe_sequential
-from stcal.pipeline.cycles import arcs_of, information_at, without_outliers
 from stcal.pipeline.estimate import Solution, estimate_of
 from stcal.pipeline.evidence import choose_model
 from stcal.pipeline.filter_run import FrameHistory, Run, run_filter
 from stcal.pipeline.filter_state import FilterState
 from stcal.pipeline.filtering import Variant, make_filter
 from stcal.pipeline.fit import check_calibration, fitted_calibration
+from stcal.pipeline.fitting import Fitting, linearised_at
 from stcal.pipeline.gates import sequential_refusals
+from stcal.pipeline.identifying import Identify, series_step, total
 from stcal.pipeline.parameters import embedded, parameter_scale
-from stcal.residuals import select_stars
+from stcal.pipeline.pieces import Piece, pieces_of
+from stcal.pipeline.scratch import MemoryScratch, Scratch
 
 Floats = NDArray[np.float64]
 
@@ -86,23 +88,29 @@ def fit_sequential(
     mapper : ordered map over the fragments, for what needs no order
     on_fragment : told about each filtered fragment
     """
-    batches = [batch for batch in batches if batch.n_frames]
-    check_calibration(initial, matcher.config, batches[0].sensor_id)
+    pieces = pieces_of(batches)
+    check_calibration(initial, matcher.config, pieces[0].fragment.sensor_id)
     check_variant(variant)
     variant.residual.check()
-    baseline = list(mapper(partial(_baseline, initial=initial, matcher=matcher, variant=variant),
-                           batches))  # fmt: skip
+    task = partial(_baseline, initial=initial, matcher=matcher, variant=variant)
+    baseline = list(mapper(task, pieces))
     runs = {}
     for name in ("constant", "thermal") if variant.temperature else ("constant",):
         chosen = make_filter(variant, initial, matcher, thermal=name == "thermal")
         state = (states or {}).get(name, chosen.start)
         runs[name] = run_filter(chosen, baseline, state, (before or {}).get(name), on_fragment)
     choice = choose_model(runs, matcher.config.sequential.temperature_evidence)
-    solution = _final_pass(runs[choice], batches, initial, matcher, mapper)
-    estimate = estimate_of(solution, initial, baseline, matcher, mapper)
+    scratch = MemoryScratch()
+    solution, fitting = _final_pass(runs[choice], pieces, initial, matcher, scratch, mapper)
+    keep = Identify(
+        scratch, matcher, initial.camera, initial.c_sd, "baseline", variant.matches, None,
+        series_step(pieces),
+    ).keep  # fmt: skip
+    first = total(keep(piece, matched) for piece, matched in zip(pieces, baseline, strict=True))
+    estimate = estimate_of(solution, fitting, pieces, initial, ("baseline", first), matcher, mapper)
     refusals = sequential_refusals(estimate, runs[choice], initial, matcher.config)
     document = describe_sequential.sequential_document(
-        estimate, runs, choice, batches, initial, matcher, refusals, provenance, variant
+        estimate, runs, choice, pieces, initial, matcher, refusals, provenance, variant
     )
     return SequentialResult(fitted_calibration(estimate, initial, document), document, runs, choice)
 
@@ -131,10 +139,10 @@ def check_variant(variant: Variant) -> None:
 
 
 def _baseline(
-    frames: FrameBatch, initial: Calibration, matcher: Matcher, variant: Variant
+    piece: Piece, initial: Calibration, matcher: Matcher, variant: Variant
 ) -> MatchedFrames:
     """Return what the calibration on board identifies in the frames."""
-    camera = initial.camera
+    camera, frames = initial.camera, piece.read()
     if variant.matches == "telemetry":
         known = telemetered_matches(frames, camera, matcher)
         return rematch_given(frames, camera, matcher.catalogue, known)
@@ -143,35 +151,34 @@ def _baseline(
 
 def _final_pass(
     run: Run,
-    batches: Sequence[FrameBatch],
+    pieces: Sequence[Piece],
     initial: Calibration,
     matcher: Matcher,
+    scratch: Scratch,
     mapper: OrderedMap,
-) -> Solution:
-    """Rematch all frames with the final camera and bind its arcs, as a batch fit's last cycle."""
+) -> tuple[Solution, Fitting]:
+    """Rematch all frames with the final camera and linearise there, as a batch fit's last cycle."""
     camera, config = initial.camera.with_parameters(run.camera_parameters), matcher.config
-    rematch = partial(match, camera=camera, c_sd=initial.c_sd, matcher=matcher)
-    matched = list(mapper(rematch, batches))
-    minimum = config.fit.minimum_stars_per_exposure
-    stars = [select_stars(m, config.noise, minimum) for m in matched]
-    kept = without_outliers(stars, camera, config, mapper)
-    residual = run.filter.residual
-    bound = list(mapper(partial(residual.bind, camera=camera), kept))
+    identify = Identify(
+        scratch, matcher, camera, initial.c_sd, "final", "lost-in-space", None,
+        series_step(pieces),
+    )  # fmt: skip
+    identified = total(mapper(identify, pieces))
     free = run.filter.model.target[run.filter.constants]
+    fitting = Fitting(scratch, "final", config, run.filter.residual, free)
+    kept, information = linearised_at(fitting, pieces, camera, identified.departures, mapper)
     scale = parameter_scale(config, camera.parameter_names)[free]
-    information = scaled(information_at(bound, camera, free, mapper), scale)
-    return Solution(
-        matched=matched,
-        bound=[arcs_of(b, camera) for b in bound],
+    solution = Solution(
+        identified=identified,
+        kept=kept,
         camera=camera,
         free=free,
-        information=information,
-        residual=residual,
-        dependent=sum(b.dependent for b in bound),
+        information=scaled(information, scale),
+        residual=run.filter.residual,
         covariance=embedded(_covariance(run, scale), free, len(camera.parameters)),
         noise_scale=float(run.history.noise_scale[-1]),
-        rejected=sum(len(s.star) for s in stars) - sum(len(s.star) for s in kept),
     )
+    return solution, fitting
 
 
 def _covariance(run: Run, scale: Floats) -> Floats:

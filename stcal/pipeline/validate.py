@@ -4,36 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stcal.attitude import MeanRotation
+from stcal.attitude import MeanRotation, mean_rotation
 from stcal.calibration import Calibration
-from stcal.constants import ARCSEC, EXPOSURES_PER_FRAME, URAD
+from stcal.constants import ARCSEC, URAD
 from stcal.execution import OrderedMap, serial
-from stcal.frames import FrameBatch, MatchedFrames
+from stcal.frames import Fragment
 from stcal.geometry.rotations import vector_from_matrix
-from stcal.matching import Matcher, match
+from stcal.matching import Matcher
 from stcal.metrics import (
     MARGINS,
     Interval,
     PairSums,
     bootstrap,
     difference,
-    pair_sums,
     ratio,
     root_loss,
     root_ratio,
 )
 from stcal.pipeline import describe
-from stcal.pipeline.alignment import attitude_change
+from stcal.pipeline.comparing import COUNTED, FIXED, PAIRS, SQUARES, STARS, compared_frames
 from stcal.pipeline.fit import check_calibration
+from stcal.pipeline.identifying import Series
 from stcal.pipeline.numbers import number, numbers
-from stcal.pipeline.views import residual_views, series
-from stcal.residuals import BoundArclength, bind_arclength, select_stars
+from stcal.pipeline.pieces import Piece, pieces_of
+from stcal.pipeline.views import ViewSums, residual_views, series
 
 Floats = NDArray[np.float64]
 
@@ -44,19 +43,28 @@ _JUMP_SD = 3.0
 
 @dataclass(frozen=True)
 class Comparison:
-    """Per-frame sums of both calibrations (baseline first) on the same frames."""
+    """Sums of both calibrations (baseline first) on the same frames, by block of frames.
 
-    matched: tuple[list[MatchedFrames], list[MatchedFrames]]
-    counted: NDArray[np.bool_]
+    Attributes
+    ----------
+    counted : (B,) frames that count: eclipse and intrusion are edited out, here and in the others
+    fixed, stars : (B,) frames with a fix, and matched stars, under each calibration
+    pairs_from : the calibration whose star pairs are the common ones
+    sums : arclength errors over the common pairs under each calibration
+    """
+
+    counted: Floats
     fixed: tuple[Floats, Floats]
     stars: tuple[Floats, Floats]
     pairs_from: str
-    bound: list[BoundArclength]
     sums: tuple[PairSums, PairSums]
+    views: ViewSums
+    series: tuple[Series, Series]
+    turns: Floats
 
 
 def validate(
-    batches: Sequence[FrameBatch],
+    fragments: Sequence[Fragment],
     baseline: Calibration,
     candidate: Calibration,
     matcher: Matcher,
@@ -69,123 +77,71 @@ def validate(
     Returns the document ``stcal.validation/1``; ``hashes`` are the SHA-256 of the two files under
     ``baseline`` and ``candidate`` and those of telemetry, catalogue and configuration.
     """
-    batches = [batch for batch in batches if batch.n_frames]
+    pieces = pieces_of(fragments)
     for calibration in (baseline, candidate):
-        check_calibration(calibration, matcher.config, batches[0].sensor_id)
-    compared = compare(batches, baseline, candidate, matcher, method, mapper)
-    return _document(compared, batches, baseline, candidate, matcher, hashes, method)
+        check_calibration(calibration, matcher.config, pieces[0].fragment.sensor_id)
+    compared = compare(fragments, baseline, candidate, matcher, method, mapper)
+    return _document(compared, pieces, baseline, candidate, matcher, hashes, method)
 
 
 def compare(
-    batches: Sequence[FrameBatch],
+    fragments: Sequence[Fragment],
     baseline: Calibration,
     candidate: Calibration,
     matcher: Matcher,
     method: str = "lost-in-space",
     mapper: OrderedMap = serial,
 ) -> Comparison:
-    """Rematch the frames with both calibrations and sum what the metrics need, frame by frame."""
-    counted = np.concatenate([b.counts_for_availability for b in batches])
-    old, new = (
-        list(
-            mapper(
-                partial(match, camera=c.camera, c_sd=c.c_sd, matcher=matcher, method=method),
-                batches,
-            )
-        )
-        for c in (baseline, candidate)
-    )
-    bounds = [_bind(matched, c, matcher) for matched, c in ((old, baseline), (new, candidate))]
+    """Rematch the frames with both calibrations and sum what the metrics need."""
+    calibrations = (baseline, candidate)
+    found = compared_frames(pieces_of(fragments), calibrations, matcher, method, mapper)
+    sums = found.sums
     # Section II-B: common pairs are the largest set of star pairs available.
-    under_baseline = [
-        _sums(bound, matched, baseline, counted)
-        for bound, matched in zip(bounds, (old, new), strict=True)
-    ]
-    chosen = 0 if under_baseline[0].pairs.sum() > under_baseline[1].pairs.sum() else 1
-    larger, matched = bounds[chosen], (old, new)[chosen]
+    chosen = 0 if sums[:, PAIRS[0]].sum() > sums[:, PAIRS[1]].sum() else 1
+    pairs = sums[:, PAIRS[chosen]].astype(np.int64)
+    old, new = (PairSums(sums[:, column], pairs) for column in SQUARES[chosen])
     return Comparison(
-        matched=(old, new),
-        counted=counted,
-        fixed=(_fixed(old), _fixed(new)),
-        stars=(_stars(old), _stars(new)),
+        counted=sums[:, COUNTED],
+        fixed=(sums[:, FIXED[0]], sums[:, FIXED[1]]),
+        stars=(sums[:, STARS[0]], sums[:, STARS[1]]),
         pairs_from=("baseline", "candidate")[chosen],
-        bound=larger,
-        sums=(
-            under_baseline[chosen],
-            _sums(larger, matched, candidate, counted),
-        ),
+        sums=(old, new),
+        views=found.views[chosen],
+        series=found.series,
+        turns=found.turns,
     )
-
-
-def _bind(
-    matched: Sequence[MatchedFrames], calibration: Calibration, matcher: Matcher
-) -> list[BoundArclength]:
-    """Return the star pairs of every solved exposure by the 2 N - 3 rule."""
-    noise, minimum = matcher.config.noise, matcher.config.fit.minimum_stars_per_exposure
-    return [bind_arclength(select_stars(m, noise, minimum), calibration.camera) for m in matched]
-
-
-def _sums(
-    bounds: Sequence[BoundArclength],
-    matched: Sequence[MatchedFrames],
-    calibration: Calibration,
-    counted: NDArray[np.bool_],
-) -> PairSums:
-    """Sum over the arcs of the frames that count: eclipse and intrusion are edited out."""
-    parts = [
-        pair_sums(
-            b,
-            m.frames.exposure_of_star // EXPOSURES_PER_FRAME,
-            m.frames.n_frames,
-            calibration.camera,
-        )
-        for b, m in zip(bounds, matched, strict=True)
-    ]
-    squares, pairs = (np.concatenate([getattr(p, k) for p in parts]) for k in ("squares", "pairs"))
-    return PairSums(squares * counted, pairs * counted)
-
-
-def _fixed(matched: Sequence[MatchedFrames]) -> Floats:
-    return np.concatenate([m.frame_solved for m in matched]).astype(np.float64)
-
-
-def _stars(matched: Sequence[MatchedFrames]) -> Floats:
-    return np.concatenate([m.matches_per_frame for m in matched]).astype(np.float64)
 
 
 def _document(
     compared: Comparison,
-    batches: Sequence[FrameBatch],
+    pieces: Sequence[Piece],
     baseline: Calibration,
     candidate: Calibration,
     matcher: Matcher,
     hashes: dict[str, str],
     method: str,
 ) -> dict[str, Any]:
-    counted = compared.counted
     figures = _figures(compared)
-    selections = [bound.selection for bound in compared.bound]
-    change = attitude_change(
-        compared.matched[0], baseline.c_sd, compared.matched[1], candidate.c_sd
-    )
+    change = mean_rotation(compared.turns)
+    span = describe.span_of(piece.fragment for piece in pieces)
     reasons, notes = _judge(compared, matcher.config.validation.minimum_frames)
-    notes += _overlap(batches, candidate) + _jump(change)
+    notes += _overlap(span, candidate) + _jump(change)
     return {
         **describe.header(SCHEMA, candidate.sensor_id),
         "verdict": {"accepted": not reasons, "reasons": reasons, "notes": notes},
         "matching": method,
-        "frames": len(counted),
-        "counted_frames": int(counted.sum()),
-        "span": describe.span_of(batches),
+        "frames": sum(piece.n_frames for piece in pieces),
+        "counted_frames": int(compared.counted.sum()),
+        "span": span,
         "confidence": CONFIDENCE,
         **figures,
         "attitude_offset_arcsec": _rotation(change, "mean"),
         "attitude_spread_arcsec": _rotation(change, "spread"),
         "attitude_sd_of_mean_arcsec": _rotation(change, "sd_of_mean"),
-        **residual_views(selections, baseline.camera, candidate.camera),
+        **residual_views(compared.views, candidate.camera),
         "series": series(
-            compared.matched[0], compared.matched[1],
-            ("matched_baseline", "matched_candidate"), ("fix_baseline", "fix_candidate"), counted,
+            *compared.series,
+            ("matched_baseline", "matched_candidate"), ("fix_baseline", "fix_candidate"),
         ),
         "baseline": {"serial": baseline.serial, "sha256": hashes["baseline"]},
         "candidate": {"serial": candidate.serial, "sha256": hashes["candidate"]},
@@ -195,12 +151,9 @@ def _document(
 
 def _figures(compared: Comparison) -> dict[str, Any]:
     """Availability, matched stars and common-pair RMS with their intervals."""
-    count = compared.counted.astype(np.float64)
-    old_fix, new_fix = (fixed * count for fixed in compared.fixed)
-    # Per frame: fix and matched stars are counted where the frame counts for availability.
-    old_stars, new_stars = (stars * count for stars in compared.stars)
+    count, fixed, (old_stars, new_stars) = compared.counted, compared.fixed, compared.stars
     old, new = compared.sums
-    availability = [_interval(ratio, fix, count) for fix in (old_fix, new_fix)]
+    availability = [_interval(ratio, fix, count) for fix in fixed]
     matched_ratio = _interval(ratio, new_stars, old_stars)
     rms = [_interval(root_ratio, s.squares / URAD**2, s.pairs) for s in (old, new)]
     rms_ratio = _interval(root_ratio, new.squares, old.squares)
@@ -239,10 +192,8 @@ def _pair_of(intervals: Sequence[Interval]) -> dict[str, Any]:
 
 def _judge(compared: Comparison, minimum_frames: int) -> tuple[list[str], list[str]]:
     """Return reasons to refuse (worse beyond its margin, with confidence) and lesser notes."""
-    count = compared.counted.astype(np.float64)
-    old_fix, new_fix = (fixed * count for fixed in compared.fixed)
-    old_stars, new_stars = (stars * count for stars in compared.stars)
-    old, new = compared.sums
+    count, (old_fix, new_fix) = compared.counted, compared.fixed
+    (old_stars, new_stars), (old, new) = compared.stars, compared.sums
     if count.sum() < minimum_frames:
         return [
             f"{int(count.sum())} frames count (outside eclipse and intrusion), at least "
@@ -268,9 +219,9 @@ def _judge(compared: Comparison, minimum_frames: int) -> tuple[list[str], list[s
     return reasons, notes
 
 
-def _overlap(batches: Sequence[FrameBatch], candidate: Calibration) -> list[str]:
+def _overlap(span: dict[str, Any], candidate: Calibration) -> list[str]:
     """Say when the telemetry may be what the candidate was fitted to."""
-    span, fitted = describe.span_of(batches), candidate.provenance
+    fitted = candidate.provenance
     if not {"from", "to"} <= fitted.keys():
         return []
     if str(span["from"]) > str(fitted["to"]) or str(span["to"]) < str(fitted["from"]):

@@ -15,8 +15,6 @@ from stcal.frames import MatchedFrames
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-# Median of the Rayleigh distribution with unit sd per axis.
-_RAYLEIGH_MEDIAN = float(np.sqrt(2.0 * np.log(2.0)))
 
 
 @dataclass(frozen=True)
@@ -69,6 +67,10 @@ class StarSelection:
             count,
         )
 
+    def none(self) -> StarSelection:
+        """Return a selection without any."""
+        return self.keep(np.zeros(len(self.star), dtype=bool), 1)
+
 
 def _with_enough(
     exposure: Ints, n_exposures: int, mask: NDArray[np.bool_], minimum: int
@@ -117,11 +119,6 @@ def star_departures(selection: StarSelection, camera: Camera) -> Floats:
     so that E|r|^2 = 2 sd^2 - tr(P (1 - s s^T)) with P the attitude's covariance.
     """
     return _judged(selection, camera, np.inf, 0)[1]
-
-
-def robust_scale(departures: Floats) -> float:
-    """Return the sd per axis of departures, from their median."""
-    return float(np.median(departures)) / _RAYLEIGH_MEDIAN if len(departures) else 1.0
 
 
 def reject_outliers(

@@ -22,11 +22,14 @@ from stcal.estimators.sequential import SEQUENTIAL
 from stcal.execution import serial
 from stcal.frames import MatchedFrames
 from stcal.matching import Matcher
-from stcal.pipeline.cycles import solve, with_estimated, without_outliers
 from stcal.pipeline.filter_run import run_filter
 from stcal.pipeline.filtering import Variant, make_filter
+from stcal.pipeline.fitting import Fitting, fit_camera
+from stcal.pipeline.identifying import Identify
 from stcal.pipeline.parameters import parameter_scale
-from stcal.residuals import BoundResidual, Residual, StarSelection, select_stars
+from stcal.pipeline.pieces import pieces_of
+from stcal.pipeline.scratch import MemoryScratch
+from stcal.residuals import BoundResidual, Residual
 
 Floats = NDArray[np.float64]
 
@@ -94,23 +97,20 @@ _Result = tuple[Floats, Floats, int]
 
 def _batch(given: MatchedFrames, initial: Camera, matcher: Matcher, residual: Residual) -> _Result:
     """Fit all frames at once, leaving out outliers until they settle."""
-    config, camera = matcher.config, initial
-    scale = parameter_scale(config, camera.parameter_names)
-    free = np.arange(len(scale))
-    everything = [select_stars(given, config.noise, config.fit.minimum_stars_per_exposure)]
-    before: StarSelection | None = None
-    for _ in range(_REJECTION_ROUNDS):
-        kept = without_outliers(everything, camera, config, serial)
-        if before is not None and np.array_equal(before.star, kept[0].star):
-            break
-        bound = [residual.bind(kept[0], camera)]
-        solution = solve(bound, camera, scale, free, serial)
-        camera, before = with_estimated(camera, free, solution.parameters), kept[0]
+    config, scratch = matcher.config, MemoryScratch()
+    scale = parameter_scale(config, initial.parameter_names)
+    free, (piece,) = np.arange(len(scale)), pieces_of([given.frames])
+    identify = Identify(scratch, matcher, initial, np.eye(3), "given", "telemetry", None, 1)
+    departures = identify.keep(piece, given).departures
+    fitting = Fitting(scratch, "given", config, residual, free)
+    fitted = fit_camera(fitting, [piece], initial, departures, serial)
+    camera, solution = fitted.camera, fitted.solution
+    bound = residual.bind(fitting.kept_stars(piece), camera)
     if not solution.converged:
         raise StcalError(f"the batch fit did not converge in {solution.iterations} steps")
     noise = solution.chi2 / (solution.information.rows - len(free))
     covariance = covariance_from(solution.information) * np.outer(scale, scale) * noise
-    return camera.parameters, covariance, _bound_bytes(bound[0], len(scale))
+    return camera.parameters, covariance, _bound_bytes(bound, len(scale))
 
 
 def _sequential(

@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 from stcal.attitude import residual_angles, solve_wahba
 from stcal.cameras import Camera
 from stcal.config import SensorConfig
-from stcal.execution import serial
 from stcal.frames import FrameBatch, MatchedFrames
 from stcal.matching import Matcher
 from stcal.matching.identify import rematch_given
-from stcal.pipeline.cycles import without_outliers
 from stcal.pipeline.parameters import parameter_scale
 from stcal.residuals import Residual, select_stars
+from stcal.residuals.departures import without_outliers
 from stcal.simulate import Scenario, simulate
 from stcal.studies.bound import image_information
 from stcal.studies.given import KnownImages
@@ -104,8 +103,9 @@ def take_sample(scene: Scene, seed: int) -> Sample:
 
 def _efficient(given: MatchedFrames, true: Camera, scale: Floats, config: SensorConfig) -> Floats:
     """Return the parameters (P,) of one Gauss-Newton step from the true ones, outliers left out."""
-    stars = [select_stars(given, config.noise, config.fit.minimum_stars_per_exposure)]
-    kept = without_outliers(stars, true, config, serial)[0]
+    minimum = config.fit.minimum_stars_per_exposure
+    stars = select_stars(given, config.noise, minimum)
+    (kept,) = without_outliers([stars], true, config.fit.rejection_sigma, minimum)
     rows = Residual("direction").bind(kept, true).linearise(true)
     step = np.linalg.lstsq(rows[:, :-1] * scale, -rows[:, -1], rcond=None)[0]
     return np.asarray(true.parameters + step * scale)

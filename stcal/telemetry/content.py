@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stcal.constants import EXPOSURES_PER_FRAME
 from stcal.frames import Floats, FrameBatch, Ints
+from stcal.times import utc_day
 
 Bytes = NDArray[np.uint8]
 
@@ -58,28 +60,42 @@ def frame_digests(frames: FrameBatch) -> list[str]:
     return digests
 
 
-class ContentHash:
-    """SHA-256 of a stream of frames, the same however the stream is cut into batches."""
-
-    def __init__(self, sensor_id: str) -> None:
-        """Start with no frames."""
-        self._frames = hashlib.sha256(sensor_id.encode() + b"\0")
-        self._stars = hashlib.sha256()
-
-    def update(self, frames: FrameBatch) -> None:
-        """Add the next frames."""
-        frame_bytes, star_bytes = content_bytes(frames)
-        self._frames.update(frame_bytes.tobytes())
-        self._stars.update(star_bytes.tobytes())
-
-    def hexdigest(self) -> str:
-        """Return the hash of everything so far."""
-        return hashlib.sha256(self._frames.digest() + self._stars.digest()).hexdigest()
-
-
 def content_sha256(sensor_id: str, batches: Iterable[FrameBatch]) -> str:
-    """Return the content hash of one sensor's frames in time order."""
-    content = ContentHash(sensor_id)
+    """Return the content hash of one sensor's frames in time order, however they are cut."""
+    return combined_sha256(sensor_id, day_digests(batches))
+
+
+def day_digests(batches: Iterable[FrameBatch]) -> dict[str, str]:
+    """Return the hash of the frames of each UTC day, in time order.
+
+    Days are hashed apart, so that several may be at the same time.
+    """
+    found: dict[str, str] = {}
+    day, frame_hash, star_hash = "", hashlib.sha256(), hashlib.sha256()
     for batch in batches:
-        content.update(batch)
+        for name, frames in _by_day(batch):
+            if name != day:
+                day, frame_hash, star_hash = name, hashlib.sha256(), hashlib.sha256()
+            frame_bytes, star_bytes = content_bytes(frames)
+            frame_hash.update(frame_bytes.tobytes())
+            star_hash.update(star_bytes.tobytes())
+            both = frame_hash.digest() + star_hash.digest()
+            found[day] = hashlib.sha256(both).hexdigest()
+    return found
+
+
+def combined_sha256(sensor_id: str, digests: Mapping[str, str]) -> str:
+    """Return the content hash of one sensor's frames from those of its days."""
+    content = hashlib.sha256(sensor_id.encode() + b"\0")
+    for day in sorted(digests):
+        content.update(f"{day} {digests[day]}\n".encode())
     return content.hexdigest()
+
+
+def _by_day(frames: FrameBatch) -> Iterator[tuple[str, FrameBatch]]:
+    day = utc_day(frames.t_tai_ns)
+    edges = [0, *(np.flatnonzero(np.diff(day)) + 1).tolist(), len(day)]
+    for first, stop in pairwise(edges):
+        if stop > first:
+            part = frames if len(edges) == 2 else frames.take(np.arange(first, stop))
+            yield str(day[first]), part

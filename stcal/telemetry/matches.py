@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import reduce
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import pyarrow as pa
@@ -18,63 +22,124 @@ from stcal.catalog.catalogue import StarCatalogue
 from stcal.catalog.identifiers import decode
 from stcal.config import Noise
 from stcal.constants import EXPOSURES_PER_FRAME, URAD
-from stcal.frames import MatchedFrames
-from stcal.matching import REASONS
+from stcal.frames import Fragment, MatchedFrames
+from stcal.matching import REASONS, Matcher, match
 from stcal.residuals.selection import centroid_sd
 from stcal.times import utc_from_tai_ns
 
 Floats = NDArray[np.float64]
 
 
-def write_matches(matched: Sequence[MatchedFrames], catalogue: StarCatalogue, path: Path) -> None:
-    """Write one row per star of every exposure; ``star_id`` is empty where unmatched."""
-    names = np.append(decode(catalogue.star_id), "")
-    tables = []
-    for part in matched:
-        frames, exposure = part.frames, part.frames.exposure_of_star
-        tables.append(
-            pa.table(
-                {
-                    "frame_id": frames.frame_id[exposure // EXPOSURES_PER_FRAME],
-                    "exposure": (exposure % EXPOSURES_PER_FRAME).astype(np.int8),
-                    "row_px": frames.row_px,
-                    "col_px": frames.col_px,
-                    # Index -1 is the empty name at the end.
-                    "star_id": pa.array(names[part.star].tolist(), pa.string()),
-                    "residual_urad": pa.array(part.residual / URAD, from_pandas=True),
-                }
-            )
-        )
-    _write(pa.concat_tables(tables), path)
+@dataclass(frozen=True)
+class MatchTables:
+    """What a fragment adds to the files, and its counts.
 
-
-def write_attitudes(
-    matched: Sequence[MatchedFrames], calibration: Calibration, noise: Noise, path: Path
-) -> None:
-    """Write one row per frame: the quaternion of its better exposure, null without a fix.
-
-    ``cov_xx_urad2`` and so on are the covariance of the small rotation error about the axes of S
-    under the configured centroid noise.
+    Attributes
+    ----------
+    matches : one row per star of every exposure; ``star_id`` is empty where unmatched
+    attitudes : one row per frame: the quaternion of its better exposure, null without a fix;
+        ``cov_xx_urad2`` and so on are the covariance of the small rotation error about the axes of
+        S under the configured centroid noise
     """
-    tables = []
-    for part in matched:
-        q_si, best = frame_quaternions(part, calibration.c_sd)
-        columns: dict[str, Any] = {
-            "frame_id": part.frames.frame_id,
-            "time_utc": pa.array(
-                utc_from_tai_ns(part.frames.t_tai_ns), pa.timestamp("ns", tz="UTC")
-            ),
-            "best_exposure": pa.array(best, mask=best < 0),
+
+    matches: pa.Table
+    attitudes: pa.Table
+    counts: MatchCounts
+
+
+@dataclass(frozen=True)
+class MatchCounts:
+    """Numbers that add up: (R,) exposures by reason, and the squared residuals [rad^2]."""
+
+    frames: int
+    frames_solved: int
+    stars: int
+    matched_stars: int
+    squares: float
+    reasons: NDArray[np.int64]
+
+    def __add__(self, other: MatchCounts) -> MatchCounts:
+        """Return the numbers of both."""
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
+        return MatchCounts(*(a + b for a, b in pairs))
+
+
+@dataclass(frozen=True)
+class MakeTables:
+    """The pass that identifies a fragment's stars and makes its tables."""
+
+    calibration: Calibration
+    matcher: Matcher
+    method: str
+
+    def __call__(self, fragment: Fragment) -> MatchTables:
+        """Identify one fragment's stars."""
+        calibration, matcher = self.calibration, self.matcher
+        part = match(fragment.read(), calibration.camera, calibration.c_sd, matcher, self.method)
+        return MatchTables(
+            _matches(part, matcher.catalogue),
+            _attitudes(part, calibration, matcher.config.noise),
+            _counts(part),
+        )
+
+
+def write_tables(parts: Iterable[MatchTables], matches: Path, attitudes: Path) -> MatchCounts:
+    """Write both files, fragment by fragment, and return the counts of all."""
+    counts: list[MatchCounts] = []
+
+    def fill(first: BinaryIO, second: BinaryIO) -> None:
+        with ExitStack() as stack:
+            writers: list[pq.ParquetWriter] = []
+            for part in parts:
+                tables = (part.matches, part.attitudes)
+                if not writers:
+                    writers = [
+                        stack.enter_context(
+                            pq.ParquetWriter(stream, table.schema, compression="zstd")
+                        )
+                        for stream, table in zip((first, second), tables, strict=True)
+                    ]
+                for writer, table in zip(writers, tables, strict=True):
+                    writer.write_table(table)
+                counts.append(part.counts)
+
+    write_with(matches, lambda a: write_with(attitudes, lambda b: fill(a, b)))
+    return reduce(lambda a, b: a + b, counts)
+
+
+def _matches(part: MatchedFrames, catalogue: StarCatalogue) -> pa.Table:
+    frames, exposure = part.frames, part.frames.exposure_of_star
+    names = pa.array([*decode(catalogue.star_id), ""], pa.string())
+    # Index -1 is the empty name at the end.
+    place = np.where(part.star >= 0, part.star, len(names) - 1)
+    return pa.table(
+        {
+            "frame_id": frames.frame_id[exposure // EXPOSURES_PER_FRAME],
+            "exposure": (exposure % EXPOSURES_PER_FRAME).astype(np.int8),
+            "row_px": frames.row_px,
+            "col_px": frames.col_px,
+            "star_id": names.take(pa.array(place)),
+            "residual_urad": pa.array(part.residual / URAD, from_pandas=True),
         }
-        for k, name in enumerate(("q_x", "q_y", "q_z", "q_w")):
-            columns[name] = pa.array(q_si[:, k], from_pandas=True)
-        covariance = _covariances(part, best, calibration, noise) / URAD**2
-        for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
-            name = f"cov_{'xyz'[i]}{'xyz'[j]}_urad2"
-            columns[name] = pa.array(covariance[:, i, j], from_pandas=True)
-        columns["matched_stars"] = part.matches_per_frame
-        tables.append(pa.table(columns))
-    _write(pa.concat_tables(tables), path)
+    )
+
+
+def _attitudes(part: MatchedFrames, calibration: Calibration, noise: Noise) -> pa.Table:
+    q_si, best = frame_quaternions(part, calibration.c_sd)
+    utc = utc_from_tai_ns(part.frames.t_tai_ns)
+    columns: dict[str, Any] = {
+        "frame_id": part.frames.frame_id,
+        "time_utc": pa.array(utc, pa.timestamp("ns", tz="UTC")),
+        "best_exposure": pa.array(best, mask=best < 0),
+    }
+    for k, name in enumerate(("q_x", "q_y", "q_z", "q_w")):
+        columns[name] = pa.array(q_si[:, k], from_pandas=True)
+    covariance = _covariances(part, best, calibration, noise) / URAD**2
+    for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
+        name = f"cov_{'xyz'[i]}{'xyz'[j]}_urad2"
+        columns[name] = pa.array(covariance[:, i, j], from_pandas=True)
+    columns["matched_stars"] = part.matches_per_frame
+    return pa.table(columns)
 
 
 def _covariances(
@@ -93,25 +158,28 @@ def _covariances(
     return np.asarray(in_s)
 
 
-def _write(table: pa.Table, path: Path) -> None:
-    write_with(path, lambda stream: pq.write_table(table, stream, compression="zstd"))
+def _counts(part: MatchedFrames) -> MatchCounts:
+    residual = part.residual[np.isfinite(part.residual)]
+    return MatchCounts(
+        frames=part.frames.n_frames,
+        frames_solved=int(part.frame_solved.sum()),
+        stars=part.frames.n_stars,
+        matched_stars=len(residual),
+        squares=float((residual**2).sum()),
+        reasons=np.bincount(part.reason, minlength=len(REASONS)),
+    )
 
 
-def summary(matched: Sequence[MatchedFrames]) -> dict[str, Any]:
+def summary(counts: MatchCounts) -> dict[str, Any]:
     """Return counts of frames, exposures and stars, and why exposures stayed unsolved."""
-    reason = np.concatenate([m.reason for m in matched])
-    residual = np.concatenate([m.residual for m in matched])
-    residual = residual[np.isfinite(residual)]
-    counts = np.bincount(reason, minlength=len(REASONS))
+    matched = counts.matched_stars
     return {
-        "frames": sum(m.frames.n_frames for m in matched),
-        "frames_solved": sum(int(m.frame_solved.sum()) for m in matched),
-        "exposures": len(reason),
-        "exposures_solved": int(counts[0]),
-        "stars": sum(m.frames.n_stars for m in matched),
-        "matched_stars": len(residual),
-        "unsolved": {REASONS[k]: int(counts[k]) for k in range(1, len(REASONS))},
-        "rms_residual_urad": (
-            float(np.sqrt(np.mean(residual**2)) / URAD) if len(residual) else None
-        ),
+        "frames": counts.frames,
+        "frames_solved": counts.frames_solved,
+        "exposures": int(counts.reasons.sum()),
+        "exposures_solved": int(counts.reasons[0]),
+        "stars": counts.stars,
+        "matched_stars": matched,
+        "unsolved": {REASONS[k]: int(counts.reasons[k]) for k in range(1, len(REASONS))},
+        "rms_residual_urad": math.sqrt(counts.squares / matched) / URAD if matched else None,
     }

@@ -8,11 +8,11 @@ from __future__ import annotations
 import fcntl
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import date
-from itertools import pairwise
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any, TextIO
 from urllib.parse import unquote
@@ -23,10 +23,11 @@ import pyarrow.parquet as pq
 
 from stcal import atomic
 from stcal.errors import InputError
+from stcal.execution import OrderedMap, serial
 from stcal.frames import FrameBatch, Ints, concatenate
 from stcal.reading import read_json_object
 from stcal.telemetry import parquet, quarantine
-from stcal.telemetry.content import content_sha256
+from stcal.telemetry.content import combined_sha256, day_digests
 from stcal.telemetry.merge import Merge, merge
 from stcal.telemetry.names import sensor_folder
 from stcal.telemetry.quarantine import LostVersion
@@ -44,9 +45,12 @@ VERSION = 1
 MARKER = "store.json"
 FRAMES = "frames"
 LOCK = ".lock"
-MAXIMUM_FRAMES = 20_000
+# A fragment's frames: enough that a pass over it costs more than its start, few enough that some
+# fit in memory together.
+FEWEST_FRAMES, MAXIMUM_FRAMES = 256, 10_000
+_FRAGMENTS = 128
 _FRAGMENT = "frames.parquet"
-_ROW_GROUP_FRAMES = 5_000
+_ROW_GROUP_FRAMES = 1_000
 _DAY_NS = 86_400 * 1_000_000_000
 _REMEDY = "; move it away and ingest its files again"
 
@@ -55,15 +59,20 @@ _REMEDY = "; move it away and ingest its files again"
 class Fragment:
     """A cheap handle of consecutive frames of one sensor and day; picklable.
 
-    ``first`` and ``frames`` count in the file, which had ``file_frames`` frames.
+    ``first`` and ``n_frames`` count in the file, which had ``file_frames`` frames.
     """
 
     path: Path
     sensor_id: str
     day: str
     first: int
-    frames: int
+    n_frames: int
     file_frames: int
+    span_tai_ns: tuple[int, int]
+
+    def read(self) -> FrameBatch:
+        """Return the frames; raises as :func:`read_fragment`."""
+        return read_fragment(self)
 
 
 @dataclass(frozen=True)
@@ -105,12 +114,13 @@ class Store:
         sensor_id: str,
         start_tai_ns: int | None = None,
         stop_tai_ns: int | None = None,
-        maximum_frames: int = MAXIMUM_FRAMES,
+        maximum_frames: int | None = None,
     ) -> list[Fragment]:
         """Return handles of the frames with start <= t < stop, in time order.
 
         A day of more than ``maximum_frames`` selected frames is cut into nearly equal parts, the
-        same ones whenever the store is the same.
+        same ones whenever the store is the same.  By default the parts are such that their number
+        is worth sharing among workers, and each of them fits easily in memory.
 
         Raises
         ------
@@ -118,13 +128,17 @@ class Store:
             Naming the store: the sensor is not in it, or has no frames in that time; or naming a
             fragment that is damaged.
         """
-        found: list[Fragment] = []
+        days = []
         for path in self._days(sensor_id):
             if _may_overlap(path, start_tai_ns, stop_tai_ns):
-                found += _split(path, sensor_id, start_tai_ns, stop_tai_ns, maximum_frames)
-        if not found:
+                times = _times(path)
+                first, last = _within(times, start_tai_ns, stop_tai_ns)
+                if first < last:
+                    days.append((path, times, first, last))
+        if not days:
             raise InputError(self._nothing(sensor_id, start_tai_ns, stop_tai_ns))
-        return found
+        most = maximum_frames or _share(sum(last - first for _, _, first, last in days))
+        return [part for day in days for part in _split(sensor_id, *day, most)]
 
     def read_frames(
         self, sensor_id: str, start_tai_ns: int | None = None, stop_tai_ns: int | None = None
@@ -138,7 +152,7 @@ class Store:
     ) -> str:
         """Return the content hash of the selected frames; their sources do not enter it."""
         fragments = self.fragments(sensor_id, start_tai_ns, stop_tai_ns)
-        return content_sha256(sensor_id, map(read_fragment, fragments))
+        return fragments_sha256(sensor_id, fragments)
 
     def quarantine(self) -> pa.Table:
         """Return every quarantine record, in the schema of :mod:`stcal.telemetry.quarantine`."""
@@ -263,6 +277,21 @@ class Store:
         )
 
 
+def fragments_sha256(
+    sensor_id: str, fragments: Sequence[Fragment], mapper: OrderedMap = serial
+) -> str:
+    """Return the content hash of fragments in time order, days being hashed beside each other."""
+    days = [list(day) for _, day in groupby(fragments, key=lambda fragment: fragment.day)]
+    digests: dict[str, str] = {}
+    for found in mapper(_digests, days):
+        digests |= found
+    return combined_sha256(sensor_id, digests)
+
+
+def _digests(day: list[Fragment]) -> dict[str, str]:
+    return day_digests(map(read_fragment, day))
+
+
 def read_fragment(fragment: Fragment) -> FrameBatch:
     """Return the frames of a fragment.
 
@@ -274,8 +303,8 @@ def read_fragment(fragment: Fragment) -> FrameBatch:
     with _reading(fragment.path) as file:
         if file.metadata.num_rows != fragment.file_frames:
             raise InputError(f"{fragment.path}: the store changed while it was read; run again")
-        groups, skipped = _row_groups(file, fragment.first, fragment.first + fragment.frames)
-        table = file.read_row_groups(groups).slice(fragment.first - skipped, fragment.frames)
+        groups, skipped = _row_groups(file, fragment.first, fragment.first + fragment.n_frames)
+        table = file.read_row_groups(groups).slice(fragment.first - skipped, fragment.n_frames)
     with _decoding(fragment.path):
         return batch_from_table(table, fragment.sensor_id)
 
@@ -288,20 +317,35 @@ def _row_groups(file: pq.ParquetFile, first: int, stop: int) -> tuple[list[int],
     return list(range(low, high + 1)), int(ends[low] - sizes[low])
 
 
-def _split(
-    path: Path, sensor_id: str, start: int | None, stop: int | None, maximum: int
-) -> list[Fragment]:
+def _times(path: Path) -> Ints:
     with _reading(path) as file:
-        times = file.read(["t_tai_ns"])["t_tai_ns"].to_numpy()
+        times: Ints = file.read(["t_tai_ns"])["t_tai_ns"].to_numpy()
     _check_order(path, times)
-    total = len(times)
+    return times
+
+
+def _within(times: Ints, start: int | None, stop: int | None) -> tuple[int, int]:
+    """Return the range of frames with start <= t < stop."""
     first = 0 if start is None else int(np.searchsorted(times, start))
-    last = total if stop is None else int(np.searchsorted(times, stop))
-    if last <= first:
-        return []
-    edges = np.linspace(first, last, -(-(last - first) // maximum) + 1).astype(int).tolist()
-    day = path.parent.name.removeprefix("day=")
-    return [Fragment(path, sensor_id, day, low, high - low, total) for low, high in pairwise(edges)]
+    return first, len(times) if stop is None else int(np.searchsorted(times, stop))
+
+
+def _share(frames: int) -> int:
+    """Return the most frames of a fragment, by their number alone, so that results are too."""
+    return min(max(frames // _FRAGMENTS, FEWEST_FRAMES), MAXIMUM_FRAMES)
+
+
+def _split(
+    sensor_id: str, path: Path, times: Ints, first: int, last: int, most: int
+) -> list[Fragment]:
+    edges = np.linspace(first, last, -(-(last - first) // most) + 1).astype(int).tolist()
+    day, total = path.parent.name.removeprefix("day="), len(times)
+    return [
+        Fragment(
+            path, sensor_id, day, low, high - low, total, (int(times[low]), int(times[high - 1]))
+        )
+        for low, high in pairwise(edges)
+    ]
 
 
 def _may_overlap(path: Path, start: int | None, stop: int | None) -> bool:

@@ -7,7 +7,7 @@ from stcal.estimators.batch import covariance_from, levenberg_marquardt, observa
 from stcal.estimators.information import reduce_rows
 from stcal.execution import scheduler, serial
 from stcal.matching import match
-from stcal.pipeline.cycles import solve
+from stcal.pipeline.fitting import solve
 from stcal.residuals import bind_arclength, select_stars
 
 SIGMA = np.array([8e-6, 30.0, 30.0, 1e8, 1e3, 0.01, 0.01, 2e-4])

@@ -17,6 +17,8 @@ from stcal.pipeline.cycles import run_cycles
 from stcal.pipeline.filter_run import filter_fragment, run_filter
 from stcal.pipeline.filtering import Variant, make_filter, process_noise_of
 from stcal.pipeline.fit import fit_batch
+from stcal.pipeline.pieces import pieces_of
+from stcal.pipeline.scratch import MemoryScratch
 from stcal.pipeline.sequential import fit_sequential
 from stcal.pipeline.validate import compare
 from stcal.residuals import ARCLENGTH, select_stars
@@ -43,12 +45,14 @@ def batch_with_its_matches(number, seed):
     """The batch's last cycle, and its matches as a filter's fixed ones."""
     data, matcher = simulation(number, seed, 300), st16_matcher()
     frames = data.calibration.frames
+    scratch = MemoryScratch()
     cycles, _ = run_cycles(
-        [frames], data.initial, matcher, "lost-in-space", ARCLENGTH, np.arange(8), serial,
-        lambda cycle: None,
+        pieces_of([frames]), data.initial, matcher, "lost-in-space", ARCLENGTH, np.arange(8),
+        scratch, serial, lambda cycle: None,
     )  # fmt: skip
     last = cycles[-1]
-    given = rematch_given(frames, data.initial.camera, matcher.catalogue, last.matched[0].star)
+    (star,) = scratch.get(f"{last.name} matches", 0)
+    given = rematch_given(frames, data.initial.camera, matcher.catalogue, star)
     sd = np.sqrt(np.diag(covariance_from(last.solution.information))) * last.noise_scale
     return data, last.camera, sd, given
 

@@ -1,0 +1,232 @@
+"""Passes that fit a camera to kept stars: outliers out, residuals linearised and reduced, summed.
+
+Each pass returns mergeable sums (histogram counts, square-root information factors), so what is in
+memory is one fragment a worker.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stcal.cameras import Camera
+from stcal.config import SensorConfig
+from stcal.estimators.batch import BatchSolution, levenberg_marquardt
+from stcal.estimators.information import SquareRootInformation, merge
+from stcal.execution import OrderedMap
+from stcal.pipeline.identifying import get_stars, put_stars, total
+from stcal.pipeline.parameters import parameter_scale
+from stcal.pipeline.pieces import Piece, thinned
+from stcal.pipeline.scratch import Scratch
+from stcal.residuals import BoundResidual, Residual
+from stcal.residuals.departures import count_departures, robust_scale
+from stcal.residuals.selection import StarSelection, reject_outliers, star_departures
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+# Outliers are judged anew after each fit; it settles in two or three rounds.
+_REJECTION_ROUNDS = 5
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Stars that outlier rejection leaves, in numbers that add up.
+
+    Attributes
+    ----------
+    stars, exposures : what is left
+    rejected, changed : stars left out, and those that were not left out before or the reverse
+    rows, dependent : independent residuals, and those that carry nothing new
+    """
+
+    stars: int
+    exposures: int
+    rejected: int
+    changed: int
+    rows: int
+    dependent: int
+
+    def __add__(self, other: Kept) -> Kept:
+        """Return the numbers of both."""
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
+        return Kept(*(a + b for a, b in pairs))
+
+
+@dataclass(frozen=True)
+class Fitting:
+    """How the kept stars of one cycle are fitted; its methods are passes over pieces."""
+
+    scratch: Scratch
+    cycle: str
+    config: SensorConfig
+    residual: Residual
+    free: Ints
+
+    def departures(self, piece: Piece, camera: Camera) -> Ints:
+        """Count the departures of all usable stars from their attitudes."""
+        stars = get_stars(self.scratch, f"{self.cycle} stars", piece.number)
+        return count_departures(star_departures(stars, camera))
+
+    def reject(
+        self, piece: Piece, camera: Camera, scale: float, again: bool, round_: int
+    ) -> tuple[Kept, SquareRootInformation]:
+        """Leave out outliers, keep the rest for :meth:`linearise`, and linearise at once."""
+        everything = get_stars(self.scratch, f"{self.cycle} stars", piece.number)
+        rules = self.config.fit
+        kept = reject_outliers(
+            everything, camera, rules.rejection_sigma, scale, rules.minimum_stars_per_exposure
+        )
+        changed = len(kept.star)
+        if again:
+            before = self.kept_stars(piece)
+            changed = len(np.setxor1d(before.star, kept.star, assume_unique=True))
+        put_stars(self.scratch, f"{self.cycle} kept", piece.number, kept)
+        bound = self._bound(piece, camera, round_)
+        counts = Kept(
+            stars=len(kept.star),
+            exposures=kept.n_exposures,
+            rejected=len(everything.star) - len(kept.star),
+            changed=changed,
+            rows=bound.rows,
+            dependent=bound.dependent,
+        )
+        return counts, reduced(bound, camera, self.free)
+
+    def linearise(
+        self, piece: Piece, bound_with: Camera, camera: Camera, round_: int
+    ) -> SquareRootInformation:
+        """Return the factor of [H | r] at a camera; the noise in rad is that of ``bound_with``."""
+        return reduced(self._bound(piece, bound_with, round_), camera, self.free)
+
+    def _bound(self, piece: Piece, camera: Camera, round_: int) -> BoundResidual:
+        return self.scratch.cached(
+            self.bound_name(round_),
+            piece.number,
+            lambda: self.residual.bind(self.kept_stars(piece), camera),
+        )
+
+    def bound_name(self, round_: int) -> str:
+        """Return the name of the bound residuals of a round of rejection."""
+        return f"{self.cycle} bound {round_}"
+
+    def kept_stars(self, piece: Piece) -> StarSelection:
+        """Return the stars that the last rejection has left."""
+        return get_stars(self.scratch, f"{self.cycle} kept", piece.number)
+
+
+def reduced(bound: BoundResidual, camera: Camera, free: Ints) -> SquareRootInformation:
+    """Return the factor of [H | r] at a camera, for parameters ``free``."""
+    return SquareRootInformation(bound.reduce(camera, free), bound.rows)
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A camera fitted to the kept stars of a cycle."""
+
+    camera: Camera
+    kept: Kept
+    solution: BatchSolution
+
+
+def fit_camera(
+    fitting: Fitting, pieces: Sequence[Piece], camera: Camera, departures: Ints, mapper: OrderedMap
+) -> Fitted:
+    """Fit a camera to the kept stars of a cycle, outliers left out until they settle.
+
+    Of many pieces an even sample is fitted first; its camera and scale then judge the outliers of
+    all of them, and are so near the solution that a step or two over everything find it.
+
+    ``departures`` are those of all pieces at the camera to start from.
+    """
+    few, scale = thinned(pieces), robust_scale(departures)
+    fitted = None
+    for round_ in range(_REJECTION_ROUNDS):
+        if fitted is not None:
+            camera = fitted.camera
+            counts = mapper(partial(fitting.departures, camera=camera), few)
+            scale = robust_scale(total(counts))
+        found = _one_round(fitting, few, camera, scale, round_, fitted is not None, mapper)
+        if found is None:
+            break
+        fitted = found
+    assert fitted is not None
+    if len(few) < len(pieces):
+        everything = _one_round(
+            fitting, pieces, fitted.camera, scale, _REJECTION_ROUNDS, False, mapper
+        )
+        assert everything is not None
+        fitted = everything
+    return fitted
+
+
+def _one_round(
+    fitting: Fitting,
+    pieces: Sequence[Piece],
+    camera: Camera,
+    scale: float,
+    round_: int,
+    again: bool,
+    mapper: OrderedMap,
+) -> Fitted | None:
+    """Reject outliers and solve; None when the same stars are left as ``again`` before."""
+    kept, here = _rejected(fitting, pieces, camera, scale, round_, again, mapper)
+    if again and kept.changed == 0:
+        return None
+    linearise = partial(fitting.linearise, bound_with=camera, round_=round_)
+    start = camera.parameters[fitting.free]
+
+    def factor(values: Floats) -> SquareRootInformation:
+        if np.array_equal(values, start):
+            return here
+        there = with_estimated(camera, fitting.free, values)
+        return merge(mapper(partial(linearise, camera=there), pieces))
+
+    scales = parameter_scale(fitting.config, camera.parameter_names)[fitting.free]
+    solution = levenberg_marquardt(factor, start, scales)
+    fitting.scratch.drop(fitting.bound_name(round_))
+    return Fitted(with_estimated(camera, fitting.free, solution.parameters), kept, solution)
+
+
+def _rejected(
+    fitting: Fitting,
+    pieces: Sequence[Piece],
+    camera: Camera,
+    scale: float,
+    round_: int,
+    again: bool,
+    mapper: OrderedMap,
+) -> tuple[Kept, SquareRootInformation]:
+    reject = partial(fitting.reject, camera=camera, scale=scale, round_=round_, again=again)
+    counts, factors = zip(*mapper(reject, pieces), strict=True)
+    return total(counts), merge(factors)
+
+
+def linearised_at(
+    fitting: Fitting, pieces: Sequence[Piece], camera: Camera, departures: Ints, mapper: OrderedMap
+) -> tuple[Kept, SquareRootInformation]:
+    """Leave out outliers once, at a camera found otherwise, and return the factor there."""
+    return _rejected(fitting, pieces, camera, robust_scale(departures), 0, False, mapper)
+
+
+def with_estimated(camera: Camera, free: Ints, values: Floats) -> Camera:
+    """Return the camera with new values of the estimated parameters."""
+    parameters = camera.parameters.copy()
+    parameters[free] = values
+    return camera.with_parameters(parameters)
+
+
+def solve(
+    bound: Sequence[BoundResidual], camera: Camera, scale: Floats, free: Ints, mapper: OrderedMap
+) -> BatchSolution:
+    """Run the batch estimator over whitened residuals, for parameters ``free``, without passes."""
+
+    def factor(values: Floats) -> SquareRootInformation:
+        there = with_estimated(camera, free, values)
+        return merge(mapper(partial(reduced, camera=there, free=free), bound))
+
+    return levenberg_marquardt(factor, camera.parameters[free], scale[free])
