@@ -8,6 +8,7 @@ the one that is waited for, so memory doesn't grow with their number.
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
 import time
 from collections import deque
@@ -16,6 +17,7 @@ from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, contextmanager
 from itertools import islice
+from threading import Thread
 from typing import Any, Protocol, TypeVar
 
 from stcal.errors import InputError, UsageError, WorkerError
@@ -85,13 +87,24 @@ def _threads(workers: int) -> Iterator[OrderedMap]:
 def _processes(workers: int) -> Iterator[OrderedMap]:
     """Each worker is a fresh process: a forked one would inherit the locks of our threads."""
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context, initializer=_leave_interrupts) as pool:
+    with ProcessPoolExecutor(workers, context, initializer=_follow_parent) as pool:
         yield _over(pool, workers)
 
 
-def _leave_interrupts() -> None:
-    """The terminal sends Ctrl-C to all processes; the first one ends the others."""
+def _follow_parent() -> None:
+    """Let a worker end with the command, even one that is killed, and with nothing else.
+
+    The terminal sends Ctrl-C to all processes; the command ends the others.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    Thread(target=_end_after_parent, daemon=True).start()
+
+
+def _end_after_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _over(pool: Executor, workers: int) -> OrderedMap:

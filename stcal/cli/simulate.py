@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -16,7 +14,6 @@ from stcal.cli.paths import output_folder
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from stcal.execution import OrderedMap
     from stcal.simulate import Scenario
     from stcal.telemetry.packet_layout import PacketLayout
 
@@ -129,46 +126,17 @@ def _in_fragments(
     layout: PacketLayout | None,
     workers: int,
 ) -> dict[str, Any]:
+    from stcal.execution import scheduler
     from stcal.simulate.fragments import Output, lay_out, write_fragments
 
     plan, output = lay_out(scenario, seed), Output(out, truth_columns, layout)
     total = len(plan.fragments)
-    with progress(f"Simulating {scenario.sensor_id}", total) as bar, _processes(workers) as run:
+    name = "serial" if workers == 1 else "processes"
+    with (
+        progress(f"Simulating {scenario.sensor_id}", total) as bar,
+        scheduler(workers, name) as run,
+    ):
         return write_fragments(plan, output, run, lambda: bar.advance(1))
-
-
-@contextmanager
-def _processes(workers: int) -> Iterator[OrderedMap]:
-    """Give an ordered map over worker processes; one worker is this process itself."""
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import get_context
-
-    from stcal.execution import serial
-
-    if workers == 1:
-        yield serial
-        return
-    with ProcessPoolExecutor(workers, get_context("spawn"), _end_with_parent) as pool:
-
-        def parallel(function: Callable[[T], U], items: Iterable[T]) -> Iterator[U]:
-            return pool.map(function, items)
-
-        yield parallel
-
-
-def _end_with_parent() -> None:
-    """Let a worker end when the command is gone, even if it was killed."""
-    import os
-    from multiprocessing import parent_process
-    from threading import Thread
-
-    def wait() -> None:
-        parent = parent_process()
-        if parent is not None:
-            parent.join()
-            os._exit(1)
-
-    Thread(target=wait, daemon=True).start()
 
 
 def _table(document: dict[str, Any], console: Console) -> None:

@@ -16,7 +16,6 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-
 @dataclass(frozen=True)
 class StarSelection:
     """Matched stars of usable exposures, exposure by exposure.
