@@ -1,5 +1,6 @@
 """Shared objects: cameras, the ST-16's configuration, small simulated sensors."""
 
+import os
 from functools import cache
 from pathlib import Path
 
@@ -59,3 +60,13 @@ def st16_camera() -> Camera:
     """A camera with every effect present."""
     x = np.array([0.016 * 0.996, 980.0, 1250.0, 1.4e8, -1.2e3, 0.05, 0.02, 1.0008])
     return Camera(CAMERAS["wang"], 1944, 2592, 2.2e-6, x)
+
+
+@pytest.fixture(scope="session")
+def scene(tmp_path_factory):
+    """The scene of the fault tests, made once a process."""
+    import chaos_scene
+
+    folder = tmp_path_factory.mktemp("chaos")
+    os.environ["STCAL_CHAOS_TMP"] = str(tmp_path_factory.mktemp("told"))
+    return chaos_scene.make(folder)
