@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
-from stcal.cli.inputs import JSON, OUT, WORKERS
-from stcal.cli.output import progress
+from stcal.cli.inputs import JSON, OUT, Workforce, workforce_options
+from stcal.cli.output import progress, watched
 from stcal.cli.paths import output_folder
 from stcal.cli.study_output import finish
 
@@ -33,7 +33,7 @@ from stcal.cli.study_output import finish
     help="Calibration frames of each sensor, half as many for validation; the scenarios' own "
     "without it.",
 )
-@WORKERS
+@workforce_options
 @JSON
 def command(
     out: Path,
@@ -41,7 +41,7 @@ def command(
     seed: int,
     sensors: str,
     frames: int | None,
-    workers: int,
+    workforce: Workforce,
     as_json: bool,
 ) -> None:
     """Repeat Enright, Jovanovic & Vaz 2018 on simulated sensors.
@@ -49,18 +49,16 @@ def command(
     Writes study.json and report.html into --out: Tables III to VII and Figures 3 to 5 with the
     paper's values beside, and which of its findings hold.
     """
-    from stcal.execution import scheduler
     from stcal.report.tables import enright_tables
     from stcal.simulate import load_scenario
-    from stcal.studies.enright import STEPS, run_study
+    from stcal.studies.enright import run_study
     from stcal.studies.scenarios import shortened
 
     chosen = _numbers(sensors)
     output_folder(out)
     found = {n: shortened(load_scenario(scenarios / f"st16-{n}.toml"), frames) for n in chosen}
-    total = STEPS * len(found)
-    with scheduler(workers) as mapper, progress("study enright", total=total) as bar:
-        document = run_study(found, seed, mapper, bar.advance)
+    with workforce.map() as mapper, progress("study enright") as bar:
+        document = run_study(found, seed, watched(mapper, bar))
     finish(document, out, as_json, enright_tables)
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import click
 
-from stcal.cli.inputs import JSON, OUT, WORKERS
-from stcal.cli.output import progress
+from stcal.cli.inputs import JSON, OUT, Workforce, workforce_options
+from stcal.cli.output import progress, watched
 from stcal.cli.paths import output_folder
 from stcal.cli.study_output import finish
 
@@ -40,7 +40,7 @@ RUNS, FRAMES, SEED = 10, 200, 1
     type=click.Path(path_type=Path, dir_okay=False),
     help="Write the documentation's page (Markdown) too, with two plots beside it.",
 )
-@WORKERS
+@workforce_options
 @JSON
 def command(
     out: Path,
@@ -49,7 +49,7 @@ def command(
     frames: int,
     seed: int,
     page: Path | None,
-    workers: int,
+    workforce: Workforce,
     as_json: bool,
 ) -> None:
     """Measure every combination of camera, residual and estimator on simulated sensors.
@@ -59,16 +59,15 @@ def command(
     """
     # Times are those of one thread: linear algebra must not start its own beside the workers.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from stcal.execution import scheduler
     from stcal.report.estimators_html import study_tables
     from stcal.report.estimators_page import write_page
     from stcal.simulate import load_scenario
-    from stcal.studies.estimators import SCENARIOS, run_study, steps
+    from stcal.studies.estimators import SCENARIOS, run_study
 
     found = {name: load_scenario(scenarios / f"{name}.toml") for name in SCENARIOS}
     output_folder(out)
-    with scheduler(workers) as mapper, progress("study estimators", total=steps(runs)) as bar:
-        document = run_study(found, runs, frames, seed, mapper, bar.advance)
+    with workforce.map() as mapper, progress("study estimators") as bar:
+        document = run_study(found, runs, frames, seed, watched(mapper, bar))
     if page is not None:
         output_folder(page.parent)
         write_page(document, page, _repeat(out, page, runs, frames, seed))

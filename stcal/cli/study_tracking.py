@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
-from stcal.cli.inputs import JSON, OUT, WORKERS
-from stcal.cli.output import progress
+from stcal.cli.inputs import JSON, OUT, Workforce, workforce_options
+from stcal.cli.output import progress, watched
 from stcal.cli.paths import output_folder
 from stcal.cli.study_output import finish
 
@@ -36,7 +36,7 @@ from stcal.cli.study_output import finish
     type=click.IntRange(min=200),
     help="Calibration frames of each camera; the scenarios' own without it.",
 )
-@WORKERS
+@workforce_options
 @JSON
 def command(
     out: Path,
@@ -44,7 +44,7 @@ def command(
     seed: int,
     runs: int,
     frames: int | None,
-    workers: int,
+    workforce: Workforce,
     as_json: bool,
 ) -> None:
     """Follow cameras that drift, jump, or only grow warm and cold.
@@ -52,7 +52,6 @@ def command(
     Writes study.json and report.html into --out: truth against estimate with and without process
     noise, and whether a temperature model is chosen where the data support it.
     """
-    from stcal.execution import scheduler
     from stcal.report.tables import tracking_tables
     from stcal.simulate import load_scenario
     from stcal.studies.tracking import run_study
@@ -63,7 +62,6 @@ def command(
         name: short_scenario(case, load_scenario(scenarios / f"{case.scenario}.toml"), frames)
         for name, case in CASES.items()
     }
-    total = runs * len(found)
-    with scheduler(workers) as mapper, progress("study tracking", total=total) as bar:
-        document = run_study(found, seed, runs, mapper, bar.advance)
+    with workforce.map() as mapper, progress("study tracking") as bar:
+        document = run_study(found, seed, runs, watched(mapper, bar))
     finish(document, out, as_json, tracking_tables)

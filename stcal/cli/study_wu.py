@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
-from stcal.cli.inputs import JSON, OUT, WORKERS
-from stcal.cli.output import progress
+from stcal.cli.inputs import JSON, OUT, Workforce, workforce_options
+from stcal.cli.output import progress, watched
 from stcal.cli.paths import output_folder
 from stcal.cli.study_output import finish
 
@@ -32,10 +32,10 @@ from stcal.cli.study_output import finish
 @click.option(
     "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the simulation."
 )
-@WORKERS
+@workforce_options
 @JSON
 def command(
-    out: Path, config: Path, runs: int, images: int, seed: int, workers: int, as_json: bool
+    out: Path, config: Path, runs: int, images: int, seed: int, workforce: Workforce, as_json: bool
 ) -> None:
     """Repeat Wu et al. 2019 on simulated images.
 
@@ -43,12 +43,11 @@ def command(
     paper's values beside, what the data allow, and which of the paper's findings hold.
     """
     from stcal.config import load_config
-    from stcal.execution import scheduler
     from stcal.report.wu_html import study_tables
     from stcal.studies.wu import run_study
 
     sensor = load_config(config)
     output_folder(out)
-    with scheduler(workers) as mapper, progress("study wu", total=runs) as bar:
-        document = run_study(sensor, runs, seed, mapper, bar.advance, images)
+    with workforce.map() as mapper, progress("study wu") as bar:
+        document = run_study(sensor, runs, seed, watched(mapper, bar), images)
     finish(document, out, as_json, study_tables)

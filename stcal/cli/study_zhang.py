@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
-from stcal.cli.inputs import JSON, OUT, WORKERS
-from stcal.cli.output import progress
+from stcal.cli.inputs import JSON, OUT, Workforce, workforce_options
+from stcal.cli.output import progress, watched
 from stcal.cli.paths import output_folder
 from stcal.cli.study_output import finish
 
@@ -28,23 +28,23 @@ from stcal.cli.study_output import finish
 @click.option(
     "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the noise."
 )
-@WORKERS
+@workforce_options
 @JSON
-def command(out: Path, scenario: Path, runs: int, seed: int, workers: int, as_json: bool) -> None:
+def command(
+    out: Path, scenario: Path, runs: int, seed: int, workforce: Workforce, as_json: bool
+) -> None:
     """Repeat Zhang, Dong & Zhao 2024 on simulated images.
 
     Writes study.json and report.html into --out: both stages of the paper's calibration with its
     values beside, the Cramer-Rao bound, other filters on the same images, and which of the paper's
     findings hold.
     """
-    from stcal.execution import scheduler
     from stcal.report.zhang_html import study_tables
     from stcal.simulate import load_scenario
-    from stcal.studies.zhang import STEPS_PER_RUN, run_study
+    from stcal.studies.zhang import run_study
 
     output_folder(out)
     found = load_scenario(scenario)
-    total = STEPS_PER_RUN * runs
-    with scheduler(workers) as mapper, progress("study zhang", total=total) as bar:
-        document = run_study(found, runs, seed, mapper, bar.advance)
+    with workforce.map() as mapper, progress("study zhang") as bar:
+        document = run_study(found, runs, seed, watched(mapper, bar))
     finish(document, out, as_json, study_tables)

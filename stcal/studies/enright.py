@@ -6,7 +6,7 @@ and judged on telemetry that no fit has seen.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -34,15 +34,11 @@ from stcal.studies.enright_runs import METHODS, REDUCED, Fits, fit_all, fit_filt
 from stcal.studies.evaluation import TRUE, evaluate
 from stcal.studies.scenarios import matcher_of
 
-# What a sensor's study reports as it goes on.
-STEPS = 5
-
 
 def run_study(
     scenarios: Mapping[int, Scenario],
     seed: int,
     mapper: OrderedMap = serial,
-    on_step: Callable[[], None] = lambda: None,
 ) -> dict[str, Any]:
     """Run the study and return its document, schema ``stcal.study.enright/1``.
 
@@ -51,9 +47,8 @@ def run_study(
     scenarios : the simulated sensors by the paper's number
     seed : of the simulation; the same seed gives the same numbers
     mapper : ordered map over the sensors
-    on_step : told STEPS times about each sensor
     """
-    one = partial(_numbered, seed=seed, on_step=on_step)
+    one = partial(_numbered, seed=seed)
     sensors = list(mapper(one, sorted(scenarios.items())))
     numbers_run = [sensor["number"] for sensor in sensors]
     return {
@@ -68,25 +63,19 @@ def run_study(
     }
 
 
-def _numbered(item: tuple[int, Scenario], seed: int, on_step: Callable[[], None]) -> dict[str, Any]:
-    return study_sensor(*item, seed, on_step)
+def _numbered(item: tuple[int, Scenario], seed: int) -> dict[str, Any]:
+    return study_sensor(*item, seed)
 
 
-def study_sensor(
-    sensor: int, scenario: Scenario, seed: int, on_step: Callable[[], None] = lambda: None
-) -> dict[str, Any]:
+def study_sensor(sensor: int, scenario: Scenario, seed: int) -> dict[str, Any]:
     """Return everything that the study says about one sensor."""
     simulation, matcher = simulate(scenario, seed), matcher_of(scenario.sensor)
     frames, initial = simulation.calibration.frames, simulation.initial
-    on_step()
     full = fit_all(frames, initial, matcher)
-    on_step()
     reduced = fit_all(frames, initial, matcher, REDUCED)
-    on_step()
     cameras, batch = full.cameras, full.cameras["batch"]
     again = fit_filters(frames, replace(initial, camera=batch), matcher)
-    on_step()
-    document = {
+    return {
         "number": sensor,
         "sensor_id": scenario.sensor_id,
         "settings": _settings(scenario, full),
@@ -101,8 +90,6 @@ def study_sensor(
         "settling": settling(simulation.validation.frames, full, matcher),
         "paper": published(sensor),
     }
-    on_step()
-    return document
 
 
 def _settings(scenario: Scenario, full: Fits) -> dict[str, Any]:

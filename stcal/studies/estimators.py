@@ -6,7 +6,7 @@ and to false matches on one of them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import product
 from typing import Any
@@ -45,18 +45,12 @@ _LEAST_FRAMES = 30
 WELL = 3.0
 
 
-def steps(runs: int) -> int:
-    """Return how many steps a study reports."""
-    return runs * (len(SCENARIOS) + 1)
-
-
 def run_study(
     scenarios: Mapping[str, Scenario],
     runs: int,
     frames: int,
     seed: int,
     mapper: OrderedMap = serial,
-    on_run: Callable[[], None] = lambda: None,
     combinations: Sequence[Pair] = COMBINATIONS,
 ) -> dict[str, Any]:
     """Run the study and return its document, schema ``stcal.study.estimators/1``.
@@ -67,7 +61,6 @@ def run_study(
     runs, frames : number of runs, and of frames in each
     seed : seeds ``seed`` to ``seed + runs - 1`` are run
     mapper : ordered map over sensors and runs
-    on_run : told about each run done
     combinations : pairs of residual and estimator
     """
     scenes = {name: make_scene(scenarios[name], frames) for name in SCENARIOS}
@@ -76,7 +69,7 @@ def run_study(
     # The longest first, so that no worker is left with one at the end.
     work = [(ROBUST, number) for number in seeds]
     work += [(name, number) for name in SCENARIOS for number in seeds]
-    one = partial(_one, scenes=scenes, pairs=combinations, on_run=on_run)
+    one = partial(_one, scenes=scenes, pairs=combinations)
     found: dict[str, list[Any]] = {name: [] for name in scenes}
     for (name, _), result in zip(work, mapper(one, work), strict=True):
         found[name].append(result)
@@ -96,17 +89,10 @@ def run_study(
     return document | {"findings": findings(document)}
 
 
-def _one(
-    item: tuple[str, int],
-    scenes: Mapping[str, Scene],
-    pairs: Sequence[Pair],
-    on_run: Callable[[], None],
-) -> Any:
+def _one(item: tuple[str, int], scenes: Mapping[str, Scene], pairs: Sequence[Pair]) -> Any:
     name, seed = item
     run = robustness_run if name == ROBUST else accuracy_run
-    found = run(scenes[name], seed, pairs)
-    on_run()
-    return found
+    return run(scenes[name], seed, pairs)
 
 
 def _sensor(scene: Scene, runs: Sequence[Accuracy], pairs: Sequence[Pair]) -> dict[str, Any]:

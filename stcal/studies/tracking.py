@@ -6,7 +6,7 @@ principal point, and a constant camera whose temperature swings all the same.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -31,7 +31,6 @@ def run_study(
     seed: int,
     runs: int = 1,
     mapper: OrderedMap = serial,
-    on_run: Callable[[], None] = lambda: None,
 ) -> dict[str, Any]:
     """Run the study and return its document, schema ``stcal.study.tracking/1``.
 
@@ -40,10 +39,9 @@ def run_study(
     scenarios : the simulated sensors by the names of CASES
     seed, runs : seeds ``seed`` to ``seed + runs - 1`` are run; figures show the first one
     mapper : ordered map over cases and seeds
-    on_run : told about each case and seed done
     """
     work = [(name, seed + k) for name in CASES for k in range(runs)]
-    one = partial(_one_run, scenarios=scenarios, shown=seed, on_run=on_run)
+    one = partial(_one_run, scenarios=scenarios, shown=seed)
     found: dict[str, list[_Run]] = {name: [] for name in CASES}
     for (name, _), result in zip(work, mapper(one, work), strict=True):
         found[name].append(result)
@@ -65,16 +63,9 @@ def run_study(
     return document | {"findings": findings(document)}
 
 
-def _one_run(
-    item: tuple[str, int],
-    scenarios: Mapping[str, Scenario],
-    shown: int,
-    on_run: Callable[[], None],
-) -> _Run:
+def _one_run(item: tuple[str, int], scenarios: Mapping[str, Scenario], shown: int) -> _Run:
     name, seed = item
-    found = study_run(CASES[name], scenarios[name], seed, with_series=seed == shown)
-    on_run()
-    return found
+    return study_run(CASES[name], scenarios[name], seed, with_series=seed == shown)
 
 
 def _case(case: Case, scenario: Scenario, runs: Sequence[_Run]) -> dict[str, Any]:

@@ -40,7 +40,6 @@ def run_study(
     runs: int,
     seed: int,
     mapper: OrderedMap = serial,
-    on_run: Callable[[], None] = lambda: None,
     images: int = IMAGES,
 ) -> dict[str, Any]:
     """Run the study and return its document, schema ``stcal.study.wu/1``.
@@ -51,7 +50,6 @@ def run_study(
     runs : how often, each with other images and other noise
     seed : the same seed gives the same numbers, times excepted
     mapper : ordered map over the runs
-    on_run : told of each run
     images : number of images of a run, the last 100 of which judge
 
     Raises
@@ -65,7 +63,7 @@ def run_study(
     if images < least:
         raise UsageError(f"{images} images: the last {EVALUATION_IMAGES} judge; give {least}")
     scene = make_scene(config, images - EVALUATION_IMAGES, EVALUATION_IMAGES)
-    one = partial(_told, scene=scene, seed=seed, on_run=on_run)
+    one = partial(_one, scene=scene, seed=seed)
     found = list(mapper(one, range(runs)))
     groups = {str(group): _group(scene, [run[group] for run in found]) for group in GROUPS}
     observed = observability(scene, found[0][GROUP].calibration.known)
@@ -82,10 +80,8 @@ def run_study(
     return document | {"findings": findings(document)}
 
 
-def _told(run: int, scene: Scene, seed: int, on_run: Callable[[], None]) -> dict[int, GroupRun]:
-    found = run_groups(scene, seed, run)
-    on_run()
-    return found
+def _one(run: int, scene: Scene, seed: int) -> dict[int, GroupRun]:
+    return run_groups(scene, seed, run)
 
 
 def _settings(scene: Scene) -> dict[str, Any]:

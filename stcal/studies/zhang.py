@@ -6,7 +6,6 @@ of known stars.  Second stage: the mounting in the body, with the cameras of the
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -20,14 +19,12 @@ from stcal.studies.zhang_alignment import align_all, alignment_part
 from stcal.studies.zhang_calibration import bounds, convergence, errors_at
 from stcal.studies.zhang_findings import findings
 from stcal.studies.zhang_image import mean_square, residual_distortion, spot
-from stcal.studies.zhang_levels import LEVELS_PX, LOW_FREQUENCY, low_frequency, noise_levels
+from stcal.studies.zhang_levels import low_frequency, noise_levels
 from stcal.studies.zhang_noise import CentroidNoise
 from stcal.studies.zhang_paper import LENGTH_S, NAMES, published
-from stcal.studies.zhang_runs import FILTERS, OURS, PAPER, MonteCarlo, calibrate
+from stcal.studies.zhang_runs import FILTERS, OURS, PAPER, Draws, MonteCarlo, calibrate
 from stcal.studies.zhang_scene import IMAGES_PER_S, Scene, make_scene
 
-# The first stage, the second, each other level of noise, and each case of low-frequency noise.
-STEPS_PER_RUN = 2 + len(LEVELS_PX) - 1 + len(LOW_FREQUENCY)
 # The second stage needs less time than the first.
 _ALIGNMENT_S = 300.0
 
@@ -37,7 +34,6 @@ def run_study(
     runs: int,
     seed: int,
     mapper: OrderedMap = serial,
-    on_run: Callable[[], None] = lambda: None,
     length_s: float = LENGTH_S,
     alignment_s: float = _ALIGNMENT_S,
 ) -> dict[str, Any]:
@@ -49,11 +45,10 @@ def run_study(
     runs : how often, with other noise on the same images
     seed : of the noise; the same seed gives the same numbers
     mapper : ordered map over the runs
-    on_run : told STEPS_PER_RUN times about each run
     length_s, alignment_s : length of the two stages
     """
     scene = make_scene(scenario, length_s, alignment_s)
-    monte_carlo = MonteCarlo(runs, seed, mapper, on_run)
+    monte_carlo = MonteCarlo(runs, Draws(seed), mapper)
     images, noise = scene.calibration, CentroidNoise()
     tracks = calibrate(scene, images, noise, tuple(FILTERS), monte_carlo)
     bound = bounds(scene, images, noise.white)

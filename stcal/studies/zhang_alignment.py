@@ -23,7 +23,7 @@ from stcal.pipeline.numbers import number, numbers
 from stcal.studies.zhang_calibration import image_at
 from stcal.studies.zhang_noise import CentroidNoise, draw_errors
 from stcal.studies.zhang_paper import ALIGNMENT_S
-from stcal.studies.zhang_runs import OURS, PAPER, MonteCarlo, Tracks, joined
+from stcal.studies.zhang_runs import OURS, PAPER, Draws, MonteCarlo, Tracks, joined
 from stcal.studies.zhang_scene import Scene
 
 Floats = NDArray[np.float64]
@@ -61,7 +61,7 @@ def align_all(
     scene: Scene, tracks: Mapping[str, Tracks], monte_carlo: MonteCarlo
 ) -> dict[str, dict[str, Mountings]]:
     """Return the mountings by camera and method."""
-    one = partial(_one_run, scene, tracks, stops_of(scene), monte_carlo)
+    one = partial(_one_run, scene, tracks, stops_of(scene), monte_carlo.draws)
     found = list(monte_carlo.mapper(one, range(monte_carlo.runs)))
     return {
         camera: {name: joined([run[camera][name] for run in found]) for name in METHODS}
@@ -77,9 +77,9 @@ def stops_of(scene: Scene) -> Ints:
 
 
 def _one_run(
-    scene: Scene, tracks: Mapping[str, Tracks], stops: Ints, monte_carlo: MonteCarlo, run: int
+    scene: Scene, tracks: Mapping[str, Tracks], stops: Ints, draws: Draws, run: int
 ) -> dict[str, dict[str, Mountings]]:
-    rng = monte_carlo.rng(run, 1)
+    rng = draws.rng(run, 1)
     images = scene.alignment
     error = draw_errors(CentroidNoise(), images, scene.true, rng)
     turn = ATTITUDE_SD_URAD * URAD * rng.normal(size=(images.n_images, 3))
@@ -93,7 +93,6 @@ def _one_run(
             method: Mountings(*(part[None] for part in (*estimate, by_camera)))
             for method, estimate in _estimates(sightings, stops).items()
         }
-    monte_carlo.on_run()
     return found
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import partial
 from typing import Any, TypeVar
@@ -51,13 +51,10 @@ class Tracks:
 
 
 @dataclass(frozen=True)
-class MonteCarlo:
-    """How runs are made: ``runs`` of them from ``seed``, mapped; ``on_run`` is told of each."""
+class Draws:
+    """The random numbers of all runs."""
 
-    runs: int
     seed: int
-    mapper: OrderedMap = serial
-    on_run: Callable[[], None] = lambda: None
 
     def rng(self, run: int, purpose: int) -> np.random.Generator:
         """Return the generator of a run; each purpose has its own.
@@ -65,6 +62,15 @@ class MonteCarlo:
         The same draws serve all noise levels, so that these compare.
         """
         return np.random.default_rng((self.seed, run, purpose))
+
+
+@dataclass(frozen=True)
+class MonteCarlo:
+    """How runs are made: ``runs`` of them with other ``draws``, mapped."""
+
+    runs: int
+    draws: Draws
+    mapper: OrderedMap = serial
 
 
 def calibrate(
@@ -76,7 +82,7 @@ def calibrate(
 ) -> dict[str, Tracks]:
     """Run the named filters; each knows the white noise, and takes it for all there is."""
     matcher = _matcher(scene, noise.white)
-    one = partial(_one_run, scene, images, noise, names, matcher, monte_carlo)
+    one = partial(_one_run, scene, images, noise, names, matcher, monte_carlo.draws)
     found = list(monte_carlo.mapper(one, range(monte_carlo.runs)))
     return {name: joined([run[name] for run in found]) for name in names}
 
@@ -99,10 +105,10 @@ def _one_run(
     noise: CentroidNoise,
     names: Sequence[str],
     matcher: Matcher,
-    monte_carlo: MonteCarlo,
+    draws: Draws,
     run: int,
 ) -> dict[str, Tracks]:
-    row, col = draw_errors(noise, images, scene.true, monte_carlo.rng(run, 0))
+    row, col = draw_errors(noise, images, scene.true, draws.rng(run, 0))
     initial = scene.initial
     matched = matched_images(
         images, images.row_px + row, images.col_px + col, initial.camera, initial.sensor_id,
@@ -119,7 +125,6 @@ def _one_run(
             sd=(found.history.sd * scale)[None],
             covariance=(chosen.covariance(found.state) * np.outer(scale, scale))[None],
         )
-    monte_carlo.on_run()
     return tracks
 
 

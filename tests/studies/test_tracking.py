@@ -395,7 +395,7 @@ def test_command_writes_what_the_core_returns(
 ) -> None:
     asked: list[Any] = []
 
-    def core(scenarios: Any, seed: int, runs: int, mapper: Any, on_run: Any) -> dict[str, Any]:
+    def core(scenarios: Any, seed: int, runs: int, mapper: Any) -> dict[str, Any]:
         asked.append((scenarios, seed, runs))
         return study
 

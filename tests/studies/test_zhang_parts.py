@@ -30,7 +30,7 @@ from stcal.studies.zhang_calibration import bounds, image_at, sd_of, settled_s, 
 from stcal.studies.zhang_image import grid_over, image_form, published_corner, without_turn
 from stcal.studies.zhang_noise import CentroidNoise, draw_errors, gauss_markov
 from stcal.studies.zhang_paper import published, true_mounting
-from stcal.studies.zhang_runs import FILTERS, OURS, PAPER, MonteCarlo, Tracks, calibrate
+from stcal.studies.zhang_runs import FILTERS, OURS, PAPER, Draws, MonteCarlo, Tracks, calibrate
 from stcal.studies.zhang_scene import Scene, make_scene
 
 SCENARIO = ROOT / "configs" / "scenarios" / "zhang2024.toml"
@@ -45,7 +45,7 @@ def scene() -> Scene:
 @cache
 def tracks() -> dict[str, Tracks]:
     return calibrate(
-        scene(), scene().calibration, CentroidNoise(), tuple(FILTERS), MonteCarlo(RUNS, 5)
+        scene(), scene().calibration, CentroidNoise(), tuple(FILTERS), MonteCarlo(RUNS, Draws(5))
     )
 
 
@@ -149,7 +149,7 @@ def test_inner_products_waste_information_and_do_not_know() -> None:
 
 def test_noise_levels_have_the_same_draws() -> None:
     half = calibrate(
-        scene(), scene().calibration, CentroidNoise(0.1), (OURS,), MonteCarlo(RUNS, 5)
+        scene(), scene().calibration, CentroidNoise(0.1), (OURS,), MonteCarlo(RUNS, Draws(5))
     )[OURS]
     for k in range(5):
         pair = (half.error[:, -1, k], tracks()[OURS].error[:, -1, k])
@@ -159,11 +159,11 @@ def test_noise_levels_have_the_same_draws() -> None:
 
 def test_runs_depend_on_seed_and_number_alone() -> None:
     images = scene().calibration.between(0, 12)
-    one = calibrate(scene(), images, CentroidNoise(), (OURS,), MonteCarlo(3, 5))[OURS]
-    both = calibrate(scene(), images, CentroidNoise(), (PAPER, OURS), MonteCarlo(2, 5))[OURS]
+    one = calibrate(scene(), images, CentroidNoise(), (OURS,), MonteCarlo(3, Draws(5)))[OURS]
+    both = calibrate(scene(), images, CentroidNoise(), (PAPER, OURS), MonteCarlo(2, Draws(5)))[OURS]
     np.testing.assert_array_equal(one.error[:2], both.error)
     np.testing.assert_array_equal(one.error, tracks()[OURS].error[:3, :12])
-    other = calibrate(scene(), images, CentroidNoise(), (OURS,), MonteCarlo(1, 6))[OURS]
+    other = calibrate(scene(), images, CentroidNoise(), (OURS,), MonteCarlo(1, Draws(6)))[OURS]
     assert not np.allclose(other.error[0], one.error[0])
 
 
@@ -198,7 +198,7 @@ def test_the_mounting_is_matrix_52() -> None:
 
 @cache
 def mountings() -> dict[str, dict[str, Mountings]]:
-    return align_all(scene(), tracks(), MonteCarlo(RUNS, 5))
+    return align_all(scene(), tracks(), MonteCarlo(RUNS, Draws(5)))
 
 
 def test_the_second_stage_knows_its_error_with_the_true_camera() -> None:
