@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +15,8 @@ from numpy.typing import NDArray
 from stcal.attitude import attitudes_from_quaternions, residual_angles, solve_wahba
 from stcal.cameras import Camera
 from stcal.catalog.apparent import apparent_directions, observer_at
-from stcal.catalog.catalogue import StarCatalogue
-from stcal.config import Matching, SensorConfig
+from stcal.catalog.catalogue import StarCatalogue, catalogue_sha256
+from stcal.config import Matching, SensorConfig, config_sha256
 from stcal.constants import DEG, EXPOSURES_PER_FRAME, URAD
 from stcal.frames import FrameBatch, MatchedFrames
 from stcal.matching import kernels
@@ -41,11 +42,26 @@ class Matcher:
     """A catalogue and a sensor's matching rules, ready to identify frames.
 
     The sky index is kept for each whole year of epoch, so that the answer for a frame doesn't
-    depend on the frames beside it.
+    depend on the frames beside it.  Matchers of equal content are equal, so that a worker process
+    builds an index once, however often it is sent the matcher.
     """
 
     catalogue: StarCatalogue
     config: SensorConfig
+
+    @cached_property
+    def key(self) -> str:
+        """Hash of the content."""
+        content = f"{catalogue_sha256(self.catalogue)} {config_sha256(self.config)}"
+        return hashlib.sha256(content.encode()).hexdigest()
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether the other is a matcher of the same content."""
+        return isinstance(other, Matcher) and self.key == other.key
+
+    def __hash__(self) -> int:
+        """Return a hash of the content."""
+        return hash(self.key)
 
     def index(self, year: int) -> SkyIndex:
         """Return the sky index at ``year`` Julian years after J2000.0."""

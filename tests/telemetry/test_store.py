@@ -46,7 +46,7 @@ def test_a_leap_second_belongs_to_the_day_it_ends(tmp_path):
     table = [cases.ROW | {"frame_id": str(i), "time_utc": t} for i, t in enumerate(times)]
     store, summary = cases.run(tmp_path, cases.write_rows(tmp_path / "a.csv", table))
     assert summary.exit_code == 0
-    assert [(f.day, f.frames) for f in store.fragments("ST16-1")] == [
+    assert [(f.day, f.n_frames) for f in store.fragments("ST16-1")] == [
         ("2016-12-31", 2),
         ("2017-01-01", 1),
     ]
@@ -82,7 +82,7 @@ def test_fragments_are_a_partition_in_time_order(filled, maximum):
     store, frames = filled
     start = int(frames.t_tai_ns[10])
     fragments = store.fragments("ST16-1", start_tai_ns=start, maximum_frames=maximum)
-    assert max(fragment.frames for fragment in fragments) <= maximum
+    assert max(fragment.n_frames for fragment in fragments) <= maximum
     assert fragments == pickle.loads(pickle.dumps(fragments))
     joined = concatenate([read_fragment(fragment) for fragment in fragments])
     cases.assert_same_frames(joined, frames.take(frames.frame_id >= 10))
