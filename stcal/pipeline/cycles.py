@@ -15,7 +15,7 @@ from stcal.estimators.batch import BatchSolution
 from stcal.execution import OrderedMap
 from stcal.matching import Matcher
 from stcal.pipeline.figures import arc_sums
-from stcal.pipeline.fitting import Fitting, Kept, fit_camera
+from stcal.pipeline.fitting import Fitting, Kept, fit_camera, forget
 from stcal.pipeline.identifying import Identified, Identify, series_step, total
 from stcal.pipeline.pieces import Piece, thinned
 from stcal.pipeline.scratch import Scratch
@@ -32,17 +32,22 @@ _SETTLED_SHARE = 1e-3
 class Cycle:
     """What one cycle of matching and fitting did.
 
-    ``name`` is what its arrays are kept under; ``rms`` [rad] is that of an even sample of the
-    fragments (all of them when they are few).
+    ``fitting`` has kept its stars; ``rms`` [rad] is that of an even sample of the fragments (all of
+    them when they are few).
     """
 
-    name: str
+    fitting: Fitting
     matching: str
     identified: Identified
     kept: Kept
     solution: BatchSolution
     camera: Camera
     rms: float
+
+    @property
+    def name(self) -> str:
+        """What its arrays are kept under."""
+        return self.fitting.cycle
 
     @property
     def noise_scale(self) -> float:
@@ -78,7 +83,8 @@ def run_cycles(
             before=before, step=series_step(pieces),
         )  # fmt: skip
         cycle = _one_cycle(identify, pieces, residual, free, mapper)
-        _forget(scratch, before)
+        if before is not None:
+            _forget(scratch, before)
         cycles.append(cycle)
         on_cycle(cycle)
         if not np.isfinite(cycle.camera.parameters).all() or not cycle.kept.rows:
@@ -100,11 +106,11 @@ def _one_cycle(
 ) -> Cycle:
     identified = total(mapper(identify, pieces))
     scratch, config = identify.scratch, identify.matcher.config
-    fitting = Fitting(scratch, identify.cycle, config, residual, free)
-    fitted = fit_camera(fitting, pieces, identify.camera, identified.departures, mapper)
-    arcs = partial(arc_sums, fitting=fitting, cameras=(fitted.camera,))
+    start = Fitting(scratch, identify.cycle, config, residual, free)
+    fitted = fit_camera(start, pieces, identify.camera, identified.departures, mapper)
+    arcs = partial(arc_sums, fitting=fitted.fitting, cameras=(fitted.camera,))
     return Cycle(
-        name=identify.cycle,
+        fitting=fitted.fitting,
         matching=identify.method,
         identified=identified,
         kept=fitted.kept,
@@ -114,7 +120,8 @@ def _one_cycle(
     )
 
 
-def _forget(scratch: Scratch, cycle: str | None) -> None:
+def _forget(scratch: Scratch, cycle: str) -> None:
     """Forget what only the next cycle needed."""
-    for what in ("matches", "stars", "kept", "exposures"):
+    for what in ("matches", "stars", "exposures"):
         scratch.drop(f"{cycle} {what}")
+    forget(scratch, cycle)

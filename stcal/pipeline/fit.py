@@ -19,7 +19,6 @@ from stcal.matching import Matcher
 from stcal.pipeline import describe
 from stcal.pipeline.cycles import Cycle, run_cycles
 from stcal.pipeline.estimate import Estimate, Solution, estimate_of
-from stcal.pipeline.fitting import Fitting
 from stcal.pipeline.gates import batch_refusals
 from stcal.pipeline.identifying import Identified, Identify, series_step, total
 from stcal.pipeline.parameters import embedded, estimated_indices, parameter_scale
@@ -83,9 +82,8 @@ def fit_batch(
         pieces, initial, matcher, matches, residual, free, scratch, mapper, on_cycle
     )
     baseline = _baseline(pieces, initial, matcher, cycles[0], scratch, mapper)
-    fitting = Fitting(scratch, cycles[-1].name, matcher.config, residual, free)
-    solution = _solution(cycles[-1], fitting)
-    estimate = estimate_of(solution, fitting, pieces, initial, baseline, matcher, mapper)
+    solution = _solution(cycles[-1])
+    estimate = estimate_of(solution, cycles[-1].fitting, pieces, initial, baseline, matcher, mapper)
     refusals = batch_refusals(estimate, cycles, settled, initial, matcher.config)
     document = describe.batch_document(
         estimate, cycles, settled, pieces, initial, matcher, refusals, provenance, matches
@@ -110,9 +108,9 @@ def fitted_calibration(
     )
 
 
-def _solution(cycle: Cycle, fitting: Fitting) -> Solution:
+def _solution(cycle: Cycle) -> Solution:
     """Return the last cycle as a solution; the noise that the residuals show scales its sd."""
-    free = fitting.free
+    fitting, free = cycle.fitting, cycle.fitting.free
     scale = parameter_scale(fitting.config, cycle.camera.parameter_names)[free]
     try:
         covariance = covariance_from(cycle.solution.information)

@@ -7,7 +7,7 @@ memory is one fragment a worker.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -59,13 +59,18 @@ class Kept:
 
 @dataclass(frozen=True)
 class Fitting:
-    """How the kept stars of one cycle are fitted; its methods are passes over pieces."""
+    """How the stars of one cycle are fitted; its methods are passes over pieces.
+
+    What a pass keeps stands under the round's own name and is never changed: a piece that is done
+    again, since its worker died, finds what it found before.
+    """
 
     scratch: Scratch
     cycle: str
     config: SensorConfig
     residual: Residual
     free: Ints
+    round_: int = 0
 
     def departures(self, piece: Piece, camera: Camera) -> Ints:
         """Count the departures of all usable stars from their attitudes."""
@@ -73,9 +78,12 @@ class Fitting:
         return count_departures(star_departures(stars, camera))
 
     def reject(
-        self, piece: Piece, camera: Camera, scale: float, again: bool, round_: int
+        self, piece: Piece, camera: Camera, scale: float, again: bool
     ) -> tuple[Kept, SquareRootInformation]:
-        """Leave out outliers, keep the rest for :meth:`linearise`, and linearise at once."""
+        """Leave out outliers, keep the rest for :meth:`linearise`, and linearise at once.
+
+        With ``again`` the rest is compared with that of the round before.
+        """
         everything = get_stars(self.scratch, f"{self.cycle} stars", piece.number)
         rules = self.config.fit
         kept = reject_outliers(
@@ -83,10 +91,10 @@ class Fitting:
         )
         changed = len(kept.star)
         if again:
-            before = self.kept_stars(piece)
+            before = replace(self, round_=self.round_ - 1).kept_stars(piece)
             changed = len(np.setxor1d(before.star, kept.star, assume_unique=True))
-        put_stars(self.scratch, f"{self.cycle} kept", piece.number, kept)
-        bound = self._bound(piece, camera, round_)
+        put_stars(self.scratch, self.name("kept"), piece.number, kept)
+        bound = self._bound(piece, camera)
         counts = Kept(
             stars=len(kept.star),
             exposures=kept.n_exposures,
@@ -97,26 +105,24 @@ class Fitting:
         )
         return counts, reduced(bound, camera, self.free)
 
-    def linearise(
-        self, piece: Piece, bound_with: Camera, camera: Camera, round_: int
-    ) -> SquareRootInformation:
+    def linearise(self, piece: Piece, bound_with: Camera, camera: Camera) -> SquareRootInformation:
         """Return the factor of [H | r] at a camera; the noise in rad is that of ``bound_with``."""
-        return reduced(self._bound(piece, bound_with, round_), camera, self.free)
+        return reduced(self._bound(piece, bound_with), camera, self.free)
 
-    def _bound(self, piece: Piece, camera: Camera, round_: int) -> BoundResidual:
+    def _bound(self, piece: Piece, camera: Camera) -> BoundResidual:
         return self.scratch.cached(
-            self.bound_name(round_),
+            self.name("bound"),
             piece.number,
             lambda: self.residual.bind(self.kept_stars(piece), camera),
         )
 
-    def bound_name(self, round_: int) -> str:
-        """Return the name of the bound residuals of a round of rejection."""
-        return f"{self.cycle} bound {round_}"
-
     def kept_stars(self, piece: Piece) -> StarSelection:
-        """Return the stars that the last rejection has left."""
-        return get_stars(self.scratch, f"{self.cycle} kept", piece.number)
+        """Return the stars that the round's rejection has left."""
+        return get_stars(self.scratch, self.name("kept"), piece.number)
+
+    def name(self, what: str) -> str:
+        """Return what a round's arrays are kept under."""
+        return _name(self.cycle, self.round_, what)
 
 
 def reduced(bound: BoundResidual, camera: Camera, free: Ints) -> SquareRootInformation:
@@ -126,8 +132,9 @@ def reduced(bound: BoundResidual, camera: Camera, free: Ints) -> SquareRootInfor
 
 @dataclass(frozen=True)
 class Fitted:
-    """A camera fitted to the kept stars of a cycle."""
+    """A camera fitted to the stars that the round of ``fitting`` has kept."""
 
+    fitting: Fitting
     camera: Camera
     kept: Kept
     solution: BatchSolution
@@ -146,38 +153,33 @@ def fit_camera(
     few, scale = thinned(pieces), robust_scale(departures)
     fitted = None
     for round_ in range(_REJECTION_ROUNDS):
+        now = replace(fitting, round_=round_)
         if fitted is not None:
             camera = fitted.camera
-            counts = mapper(partial(fitting.departures, camera=camera), few)
-            scale = robust_scale(total(counts))
-        found = _one_round(fitting, few, camera, scale, round_, fitted is not None, mapper)
-        if found is None:
+            scale = robust_scale(total(mapper(partial(now.departures, camera=camera), few)))
+        kept, here = _rejected(now, few, camera, scale, mapper, again=fitted is not None)
+        if fitted is not None and kept.changed == 0:
+            fitting.scratch.drop(now.name("bound"))
             break
-        fitted = found
+        fitted = _solved(now, few, camera, kept, here, mapper)
     assert fitted is not None
     if len(few) < len(pieces):
-        everything = _one_round(
-            fitting, pieces, fitted.camera, scale, _REJECTION_ROUNDS, False, mapper
-        )
-        assert everything is not None
-        fitted = everything
+        camera, now = fitted.camera, replace(fitting, round_=_REJECTION_ROUNDS)
+        kept, here = _rejected(now, pieces, camera, scale, mapper)
+        fitted = _solved(now, pieces, camera, kept, here, mapper)
     return fitted
 
 
-def _one_round(
+def _solved(
     fitting: Fitting,
     pieces: Sequence[Piece],
     camera: Camera,
-    scale: float,
-    round_: int,
-    again: bool,
+    kept: Kept,
+    here: SquareRootInformation,
     mapper: OrderedMap,
-) -> Fitted | None:
-    """Reject outliers and solve; None when the same stars are left as ``again`` before."""
-    kept, here = _rejected(fitting, pieces, camera, scale, round_, again, mapper)
-    if again and kept.changed == 0:
-        return None
-    linearise = partial(fitting.linearise, bound_with=camera, round_=round_)
+) -> Fitted:
+    """Solve for a round's stars, from a camera at which the factor is known."""
+    linearise = partial(fitting.linearise, bound_with=camera)
     start = camera.parameters[fitting.free]
 
     def factor(values: Floats) -> SquareRootInformation:
@@ -188,8 +190,10 @@ def _one_round(
 
     scales = parameter_scale(fitting.config, camera.parameter_names)[fitting.free]
     solution = levenberg_marquardt(factor, start, scales)
-    fitting.scratch.drop(fitting.bound_name(round_))
-    return Fitted(with_estimated(camera, fitting.free, solution.parameters), kept, solution)
+    fitting.scratch.drop(fitting.name("bound"))
+    return Fitted(
+        fitting, with_estimated(camera, fitting.free, solution.parameters), kept, solution
+    )
 
 
 def _rejected(
@@ -197,11 +201,10 @@ def _rejected(
     pieces: Sequence[Piece],
     camera: Camera,
     scale: float,
-    round_: int,
-    again: bool,
     mapper: OrderedMap,
+    again: bool = False,
 ) -> tuple[Kept, SquareRootInformation]:
-    reject = partial(fitting.reject, camera=camera, scale=scale, round_=round_, again=again)
+    reject = partial(fitting.reject, camera=camera, scale=scale, again=again)
     counts, factors = zip(*mapper(reject, pieces), strict=True)
     return total(counts), merge(factors)
 
@@ -210,7 +213,7 @@ def linearised_at(
     fitting: Fitting, pieces: Sequence[Piece], camera: Camera, departures: Ints, mapper: OrderedMap
 ) -> tuple[Kept, SquareRootInformation]:
     """Leave out outliers once, at a camera found otherwise, and return the factor there."""
-    return _rejected(fitting, pieces, camera, robust_scale(departures), 0, False, mapper)
+    return _rejected(fitting, pieces, camera, robust_scale(departures), mapper)
 
 
 def with_estimated(camera: Camera, free: Ints, values: Floats) -> Camera:
@@ -230,3 +233,13 @@ def solve(
         return merge(mapper(partial(reduced, camera=there, free=free), bound))
 
     return levenberg_marquardt(factor, camera.parameters[free], scale[free])
+
+
+def forget(scratch: Scratch, cycle: str) -> None:
+    """Forget what a cycle's rounds have kept."""
+    for round_ in range(_REJECTION_ROUNDS + 1):
+        scratch.drop(_name(cycle, round_, "kept"))
+
+
+def _name(cycle: str, round_: int, what: str) -> str:
+    return f"{cycle} round {round_} {what}"

@@ -105,7 +105,7 @@ def _batch(given: MatchedFrames, initial: Camera, matcher: Matcher, residual: Re
     fitting = Fitting(scratch, "given", config, residual, free)
     fitted = fit_camera(fitting, [piece], initial, departures, serial)
     camera, solution = fitted.camera, fitted.solution
-    bound = residual.bind(fitting.kept_stars(piece), camera)
+    bound = residual.bind(fitted.fitting.kept_stars(piece), camera)
     if not solution.converged:
         raise StcalError(f"the batch fit did not converge in {solution.iterations} steps")
     noise = solution.chi2 / (solution.information.rows - len(free))

@@ -145,3 +145,19 @@ def test_a_living_scratch_is_left_alone_and_a_dead_one_removed(tmp_path):
         with pytest.raises(OSError):
             first.get("stars", 7)
     assert not list(tmp_path.iterdir())
+
+
+def test_items_done_twice_change_nothing(data, tmp_path):
+    """A cluster may run an item again after its worker died, when its files are there already."""
+
+    def twice(function, items):
+        for item in items:
+            function(item)
+            yield function(item)
+
+    parts = cut(data.calibration.frames, 5)
+    once = fit_batch(parts, data.initial, st16_matcher(), {})
+    with scratch_folder(tmp_path) as scratch:
+        again = fit_batch(parts, data.initial, st16_matcher(), {}, mapper=twice, scratch=scratch)
+    documents = [r.document | {"created_utc": ""} for r in (once, again)]
+    assert documents[0] == documents[1]
