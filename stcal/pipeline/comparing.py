@@ -15,8 +15,9 @@ from stcal.frames import MatchedFrames, exposures_of
 from stcal.matching import Matcher, match
 from stcal.metrics import Blocks, PairSums, pair_sums
 from stcal.pipeline.alignment import MOST_TURNS, frame_turns
-from stcal.pipeline.identifying import Series, series_of, series_step, total
+from stcal.pipeline.identifying import Series, series_of, series_step
 from stcal.pipeline.pieces import Piece, step_for, thinned
+from stcal.pipeline.sums import total
 from stcal.pipeline.views import ViewSums, view_sums
 from stcal.residuals import BoundArclength, StarSelection, bind_arclength, select_stars
 
@@ -146,5 +147,4 @@ def compared_frames(
         turn_step=step_for(pieces, MOST_TURNS),
         viewed=frozenset(piece.number for piece in thinned(pieces)),
     )
-    found: Compared = total(mapper(task, pieces))
-    return found
+    return total(mapper(task, pieces))

@@ -16,9 +16,10 @@ from stcal.execution import OrderedMap
 from stcal.matching import Matcher
 from stcal.pipeline.figures import arc_sums
 from stcal.pipeline.fitting import Fitting, Kept, fit_camera, forget
-from stcal.pipeline.identifying import Identified, Identify, series_step, total
+from stcal.pipeline.identifying import Identified, Identify, series_step
 from stcal.pipeline.pieces import Piece, thinned
 from stcal.pipeline.scratch import Scratch
+from stcal.pipeline.sums import total
 from stcal.residuals import Residual
 
 Floats = NDArray[np.float64]

@@ -17,9 +17,10 @@ from stcal.matching import Matcher
 from stcal.pipeline.alignment import MOST_TURNS, Alignment, update_alignment
 from stcal.pipeline.figures import Figures, MakeFigures
 from stcal.pipeline.fitting import Fitting, Kept
-from stcal.pipeline.identifying import Identified, total
+from stcal.pipeline.identifying import Identified
 from stcal.pipeline.parameters import parameter_scale
 from stcal.pipeline.pieces import Piece, step_for, thinned
+from stcal.pipeline.sums import total
 from stcal.residuals import Residual
 
 Floats = NDArray[np.float64]

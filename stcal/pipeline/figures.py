@@ -17,6 +17,7 @@ from stcal.pipeline.alignment import frame_turns
 from stcal.pipeline.fitting import Fitting
 from stcal.pipeline.identifying import get_stars
 from stcal.pipeline.pieces import Piece
+from stcal.pipeline.sums import Sums
 from stcal.pipeline.views import ViewSums, view_sums
 from stcal.residuals import StarSelection, bind_arclength
 
@@ -26,7 +27,7 @@ Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class ArcSums:
+class ArcSums(Sums):
     """Sums of squared arclength errors [rad^2] under one or more cameras, over the same arcs."""
 
     squares: Floats
@@ -37,10 +38,6 @@ class ArcSums:
         """Plain root mean square under each camera, NaN without arcs."""
         with np.errstate(invalid="ignore"):
             return np.asarray(np.sqrt(self.squares / self.arcs)) if self.arcs else self.squares / 0
-
-    def __add__(self, other: ArcSums) -> ArcSums:
-        """Return the sums of both."""
-        return ArcSums(self.squares + other.squares, self.arcs + other.arcs)
 
 
 def arc_sums(piece: Piece, fitting: Fitting, cameras: Sequence[Camera]) -> ArcSums:

@@ -20,10 +20,11 @@ from stcal.pipeline import describe
 from stcal.pipeline.cycles import Cycle, run_cycles
 from stcal.pipeline.estimate import Estimate, Solution, estimate_of
 from stcal.pipeline.gates import batch_refusals
-from stcal.pipeline.identifying import Identified, Identify, series_step, total
+from stcal.pipeline.identifying import Identified, Identify, series_step
 from stcal.pipeline.parameters import embedded, estimated_indices, parameter_scale
 from stcal.pipeline.pieces import Piece, pieces_of
 from stcal.pipeline.scratch import MemoryScratch, Scratch
+from stcal.pipeline.sums import total
 from stcal.residuals import ARCLENGTH, Residual
 
 Floats = NDArray[np.float64]

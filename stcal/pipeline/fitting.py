@@ -18,10 +18,11 @@ from stcal.config import SensorConfig
 from stcal.estimators.batch import BatchSolution, levenberg_marquardt
 from stcal.estimators.information import SquareRootInformation, merge
 from stcal.execution import OrderedMap
-from stcal.pipeline.identifying import get_stars, put_stars, total
+from stcal.pipeline.identifying import get_stars, put_stars
 from stcal.pipeline.parameters import parameter_scale
 from stcal.pipeline.pieces import Piece, thinned
 from stcal.pipeline.scratch import Scratch
+from stcal.pipeline.sums import Sums, total
 from stcal.residuals import BoundResidual, Residual
 from stcal.residuals.departures import count_departures, robust_scale
 from stcal.residuals.selection import StarSelection, reject_outliers, star_departures
@@ -34,7 +35,7 @@ _REJECTION_ROUNDS = 5
 
 
 @dataclass(frozen=True)
-class Kept:
+class Kept(Sums):
     """Stars that outlier rejection leaves, in numbers that add up.
 
     Attributes
@@ -50,11 +51,6 @@ class Kept:
     changed: int
     rows: int
     dependent: int
-
-    def __add__(self, other: Kept) -> Kept:
-        """Return the numbers of both."""
-        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
-        return Kept(*(a + b for a, b in pairs))
 
 
 @dataclass(frozen=True)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import reduce
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +14,7 @@ from stcal.matching import Matcher, match
 from stcal.matching.identify import rematch_given, telemetered_matches
 from stcal.pipeline.pieces import Piece, step_for
 from stcal.pipeline.scratch import Scratch
+from stcal.pipeline.sums import Sums
 from stcal.residuals import StarSelection, select_stars
 from stcal.residuals.departures import count_departures
 from stcal.residuals.selection import star_departures
@@ -41,7 +40,7 @@ class Series:
 
 
 @dataclass(frozen=True)
-class Identified:
+class Identified(Sums):
     """What one calibration identifies in frames, in numbers that add up.
 
     Attributes
@@ -61,16 +60,6 @@ class Identified:
     changed: int
     departures: Ints
     series: Series
-
-    def __add__(self, other: Identified) -> Identified:
-        """Return the numbers of both, this one's frames being the earlier."""
-        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
-        return Identified(*(a + b for a, b in pairs))
-
-
-def total(parts: Iterable[Any]) -> Any:
-    """Add up partial results, in order."""
-    return reduce(lambda a, b: a + b, parts)
 
 
 @dataclass(frozen=True)

@@ -31,10 +31,11 @@ from stcal.pipeline.filtering import Variant, make_filter
 from stcal.pipeline.fit import check_calibration, fitted_calibration
 from stcal.pipeline.fitting import Fitting, linearised_at
 from stcal.pipeline.gates import sequential_refusals
-from stcal.pipeline.identifying import Identify, series_step, total
+from stcal.pipeline.identifying import Identify, series_step
 from stcal.pipeline.parameters import embedded, parameter_scale
 from stcal.pipeline.pieces import Piece, pieces_of
 from stcal.pipeline.scratch import MemoryScratch, Scratch
+from stcal.pipeline.sums import total
 
 Floats = NDArray[np.float64]
 

@@ -13,6 +13,7 @@ from stcal.cameras import Camera
 from stcal.metrics import cell_of, detector_cells, residual_vectors
 from stcal.pipeline.identifying import Series
 from stcal.pipeline.numbers import numbers
+from stcal.pipeline.sums import Sums
 from stcal.residuals.selection import StarSelection
 from stcal.times import format_utc
 
@@ -23,7 +24,7 @@ _RADIAL_BINS = 12
 
 
 @dataclass(frozen=True)
-class ViewSums:
+class ViewSums(Sums):
     """Residuals (measured minus predicted centroids) under two cameras, summed.
 
     Attributes
@@ -37,11 +38,6 @@ class ViewSums:
     field: Floats
     radial_count: Ints
     radial: Floats
-
-    def __add__(self, other: ViewSums) -> ViewSums:
-        """Return the sums of both."""
-        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
-        return ViewSums(*(a + b for a, b in pairs))
 
 
 def view_sums(stars: StarSelection, before: Camera, after: Camera) -> ViewSums:

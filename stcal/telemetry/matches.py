@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import reduce
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -24,6 +23,7 @@ from stcal.config import Noise
 from stcal.constants import EXPOSURES_PER_FRAME, URAD
 from stcal.frames import Fragment, MatchedFrames
 from stcal.matching import REASONS, Matcher, match
+from stcal.pipeline.sums import Sums, total
 from stcal.residuals.selection import centroid_sd
 from stcal.times import utc_from_tai_ns
 
@@ -48,7 +48,7 @@ class MatchTables:
 
 
 @dataclass(frozen=True)
-class MatchCounts:
+class MatchCounts(Sums):
     """Numbers that add up: (R,) exposures by reason, and the squared residuals [rad^2]."""
 
     frames: int
@@ -57,11 +57,6 @@ class MatchCounts:
     matched_stars: int
     squares: float
     reasons: NDArray[np.int64]
-
-    def __add__(self, other: MatchCounts) -> MatchCounts:
-        """Return the numbers of both."""
-        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
-        return MatchCounts(*(a + b for a, b in pairs))
 
 
 @dataclass(frozen=True)
@@ -104,7 +99,7 @@ def write_tables(parts: Iterable[MatchTables], matches: Path, attitudes: Path) -
                 counts.append(part.counts)
 
     write_with(matches, lambda a: write_with(attitudes, lambda b: fill(a, b)))
-    return reduce(lambda a, b: a + b, counts)
+    return total(counts)
 
 
 def _matches(part: MatchedFrames, catalogue: StarCatalogue) -> pa.Table:
