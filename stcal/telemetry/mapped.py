@@ -22,6 +22,9 @@ from stcal.telemetry.mapping import (
     mapping_from_document,
 )
 
+# Characters of a column's name in a message.
+_SHOWN = 64
+
 
 @dataclass(frozen=True)
 class Rows:
@@ -105,7 +108,8 @@ def check_columns(mapping: SourceMapping, there: list[str], where: str) -> None:
     """
     missing = [name for name in mapping.sources if name not in there]
     if missing:
-        known = ", ".join(there[:20]) + (", ..." if len(there) > 20 else "")
+        shown = [name if len(name) <= _SHOWN else name[:_SHOWN] + "..." for name in there[:20]]
+        known = ", ".join(shown) + (", ..." if len(there) > 20 else "")
         raise InputError(
             f"{where}: mapping {mapping.name!r}: no column(s) {', '.join(missing)}; "
             f"the file has {known}"
