@@ -14,6 +14,8 @@ from stcal.reading import read_toml
 from stcal.times import parse_utc
 
 SCHEMA = "stcal.recalibration/1"
+# The run's own documents, and its ingest's, lie beside the folders of the sensors.
+_TAKEN = ("recalibration.json", "index.html", "ingest.log", "ingest.step.json")
 
 
 def _utc(text: str) -> str:
@@ -27,6 +29,8 @@ def _utc(text: str) -> str:
 def _folder_name(text: str) -> str:
     if not text.isprintable() or text in (".", "..") or set(text) & set('/\\:*?"<>|'):
         raise ValueError("cannot be the name of a folder")
+    if text.lower() in _TAKEN:
+        raise ValueError("is the name of a file of the results")
     return text
 
 

@@ -152,9 +152,10 @@ def parse_layout(content: bytes, where: str) -> PacketLayout:
     """
     try:
         document = tomllib.loads(content.decode("utf-8"))
-        layout = PacketLayout.model_validate(document)
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # a ValueError: a number of thousands of digits
         raise ConfigError(f"{where}: not TOML: {error}") from None
+    try:
+        layout = PacketLayout.model_validate(document)
     except ValidationError as error:
         raise ConfigError(f"{where}:\n" + "\n".join(_lines(error))) from None
     layout._source = content
