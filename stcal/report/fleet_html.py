@@ -13,7 +13,8 @@ def render(document: Document) -> str:
     """Return the HTML index (schema ``stcal.fleet/1``), beside the folders of the sensors."""
     found = sections(document.get("sensors"))
     fleet = fleet_content.fleet_table(document)
-    links = [quote(text(item.get("report"))) or None for item in found]
+    # Without the first slashes a name cannot lead to another host.
+    links = [quote(text(item.get("report")).lstrip("/")) or None for item in found]
     return page(
         "fleet.html.j2",
         heading="Recalibration of a fleet",
