@@ -96,6 +96,9 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         if not isinstance(facts, dict) or ".." in Path(name).parts or Path(name).is_absolute():
             raise InputError(f"{path}: the entry of {name!r} is damaged")
         try:
+            # A pipe or a device may never end.
+            if file.exists() and not file.is_file():
+                raise InputError(f"{file}: is not a file")
             found = sha256_of(file)
         except OSError as error:
             raise InputError(f"{file}: cannot be read: {error.strerror}") from None
