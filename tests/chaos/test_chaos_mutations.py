@@ -20,7 +20,7 @@ from stcal.telemetry.packet_writer import encode_packets
 from stcal.telemetry.store import Store
 from stcal.telemetry.writer import write_csv, write_jsonl
 
-CASES = int(os.environ.get("STCAL_MUTATIONS", "10000" if LONG else "140"))
+CASES = int(os.environ.get("STCAL_MUTATIONS", "10000" if LONG else "70"))
 NAMES = ("a.csv", "a.csv.gz", "packed.csv.gz", "a.jsonl", "a.ccsds", "log.bin", "a.tsv")
 CONFIG = load_config(ROOT / "configs" / "st16.toml")
 LAYOUT = load_layout(ROOT / "configs" / "packets" / "st16.toml")
