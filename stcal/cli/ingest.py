@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from stcal.cli.inputs import StoreFolder
 from stcal.cli.output import emit, progress
 from stcal.errors import InputError, UsageError
 
@@ -37,7 +38,7 @@ _ALWAYS = ("rows", "frames", "new_frames", "duplicate_frames", "stars", "quarant
     "--store",
     "store_path",
     required=True,
-    type=click.Path(path_type=Path),
+    type=StoreFolder(),
     help="The store's folder; made where there is none.",
 )
 @click.option(

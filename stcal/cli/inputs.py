@@ -21,9 +21,28 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 
+
+class StoreFolder(click.Path):
+    """The folder of a store; as a path ``s3://bucket`` would become the local ``s3:/bucket``."""
+
+    def __init__(self) -> None:
+        """Give a :class:`pathlib.Path`."""
+        super().__init__(path_type=Path)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Refuse a URL; raises InputError."""
+        from stcal.errors import InputError
+
+        if "://" in str(value):
+            raise InputError(
+                f"{value}: a store is a folder of a file system, not a URL; mount it or copy it"
+            )
+        return super().convert(value, param, ctx)
+
+
 JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 STORE = click.option(
-    "--store", required=True, type=click.Path(path_type=Path), help="Folder of the Parquet store."
+    "--store", required=True, type=StoreFolder(), help="Folder of the Parquet store."
 )
 SENSOR = click.option("--sensor", required=True, help="The sensor's name, e.g. ST16-1.")
 OUT = click.option(
