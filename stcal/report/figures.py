@@ -184,7 +184,7 @@ def _time_panels(
     span = float(np.ptp(x))
     margin = max(0.03 * span, 0.5 * (_SHORTEST_SPAN_DAYS - span))
     lower.set_xlim(x.min() - margin, x.max() + margin)
-    locator = dates.AutoDateLocator(maxticks=8)
+    locator = dates.AutoDateLocator()
     lower.xaxis.set_major_locator(locator)
     lower.xaxis.set_major_formatter(dates.ConciseDateFormatter(locator))
 
