@@ -14,7 +14,11 @@ from numpy.typing import NDArray
 
 from stcal.attitude import mean_rotation
 from stcal.constants import EXPOSURES_PER_FRAME
-from stcal.geometry.rotations import matrix_from_vector, vector_from_matrix
+from stcal.geometry.rotations import (
+    matrix_from_vector,
+    nearest_rotation,
+    vector_from_matrix,
+)
 
 Floats = NDArray[np.float64]
 
@@ -49,7 +53,7 @@ def update_alignment(c_sd: Floats, turns: Floats) -> Alignment | None:
         return None
     # Turns are taken in S here: mean = c_sd mean(k) c_sd^T.
     return Alignment(
-        c_sd=orthonormal(mean.c @ c_sd),
+        c_sd=nearest_rotation(mean.c @ c_sd),
         offset=vector_from_matrix(mean.c[None])[0],
         spread=mean.spread,
         sd_of_mean=mean.sd_of_mean,
@@ -73,9 +77,3 @@ def frame_turns(a: Floats, b: Floats) -> Floats:
     between = vector_from_matrix(second[both] @ np.swapaxes(first[both], 1, 2))
     chosen[both] = matrix_from_vector(0.5 * between) @ first[both]
     return np.asarray(chosen[has_first | has_second])
-
-
-def orthonormal(c: Floats) -> Floats:
-    """Return the nearest rotation to a matrix that rounding has bent."""
-    left, _, right = np.linalg.svd(c)
-    return np.asarray(left @ right)
