@@ -35,7 +35,7 @@ from stcal.execution import serial
 from stcal.matching import match
 from stcal.pipeline.fitting import solve, with_estimated
 from stcal.pipeline.parameters import parameter_scale
-from stcal.residuals import bind_arclength, select_stars
+from stcal.residuals import ARCLENGTH, select_stars
 
 SCENE = Scene("calibration", 0.2, focal_error=3e-3, distortion_px=10.0, centre_px=15.0)
 OWN = "stcal"
@@ -46,7 +46,7 @@ def own_fit(stars, initial, scale):
     free = np.arange(len(scale))
 
     def fit():
-        bound = [bind_arclength(stars, initial)]
+        bound = [ARCLENGTH.bind(stars, initial)]
         solution = solve(bound, initial, scale, free, serial)
         covariance_from(solution.information)
         return with_estimated(initial, free, solution.parameters)

@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from stcal.attitude import solve_wahba
 from stcal.cameras import Camera
 from stcal.geometry.rotations import matrix_from_vector, nearest_rotation
-from stcal.residuals import StarSelection, bind_arclength
+from stcal.residuals import ARCLENGTH, StarSelection
 
 ARCSEC = np.pi / 180.0 / 3600.0
 _ITERATIONS, _SETTLED = 20, 1e-3
@@ -31,7 +31,7 @@ def model_error_arcsec(directions: np.ndarray, true: np.ndarray) -> float:
 
 def scipy_fit(stars: StarSelection, initial: Camera, scale: np.ndarray) -> Callable[[], Camera]:
     """least_squares with its numeric Jacobian on our arclengths."""
-    bound = bind_arclength(stars, initial)
+    bound = ARCLENGTH.bind(stars, initial)
 
     def at(z: np.ndarray) -> Camera:
         return initial.with_parameters(initial.parameters + z * scale)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from stcal.attitude import solve_wahba
 from stcal.cameras import Camera
-from stcal.residuals.arclength import BoundArclength
+from stcal.residuals.arclength import Arcs
 from stcal.residuals.selection import StarSelection
 
 Floats = NDArray[np.float64]
@@ -42,15 +42,13 @@ class PairSums:
         return float(np.sqrt(self.squares.sum() / total)) if total else float("nan")
 
 
-def pair_sums(
-    bound: BoundArclength, frame_of_star: Ints, n_frames: int, camera: Camera
-) -> PairSums:
+def pair_sums(arcs: Arcs, frame_of_star: Ints, n_frames: int, camera: Camera) -> PairSums:
     """Sum arclength errors of one camera over given arcs, by frame.
 
     ``frame_of_star`` (S,) maps a detection of the batch to its frame.
     """
-    frame = frame_of_star[bound.selection.star[bound.pair_i]]
-    squares = bound.departures(camera) ** 2
+    frame = frame_of_star[arcs.selection.star[arcs.pair_i]]
+    squares = arcs.departures(camera) ** 2
     return PairSums(
         np.bincount(frame, squares, minlength=n_frames).astype(np.float64),
         np.bincount(frame, minlength=n_frames),

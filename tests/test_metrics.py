@@ -13,7 +13,7 @@ from stcal.metrics import (
     residual_vectors,
     root_ratio,
 )
-from stcal.residuals import bind_arclength, select_stars
+from stcal.residuals import choose_arcs, select_stars
 
 
 @pytest.fixture(scope="module")
@@ -21,18 +21,18 @@ def scene():
     data = simulation(4, 24, 60)
     matched = match(data.calibration.frames, data.true.camera, np.eye(3), st16_matcher())
     selection = select_stars(matched, st16_config().noise, 4)
-    return data, matched, bind_arclength(selection, data.true.camera)
+    return data, matched, choose_arcs(selection)
 
 
 def test_rms_is_the_plain_root_mean_square(scene):
-    data, matched, bound = scene
+    data, matched, arcs = scene
     frame = matched.frames.exposure_of_star // 2
-    sums = pair_sums(bound, frame, matched.frames.n_frames, data.initial.camera)
+    sums = pair_sums(arcs, frame, matched.frames.n_frames, data.initial.camera)
     errors = []
-    s_d = data.initial.camera.directions(bound.selection.row_px, bound.selection.col_px)
-    for i, j in zip(bound.pair_i, bound.pair_j, strict=True):
+    s_d = data.initial.camera.directions(arcs.selection.row_px, arcs.selection.col_px)
+    for i, j in zip(arcs.pair_i, arcs.pair_j, strict=True):
         seen = np.arccos(np.clip(s_d[i] @ s_d[j], -1, 1))
-        true = np.arccos(np.clip(bound.selection.s_i[i] @ bound.selection.s_i[j], -1, 1))
+        true = np.arccos(np.clip(arcs.selection.s_i[i] @ arcs.selection.s_i[j], -1, 1))
         errors.append(seen - true)
     assert sums.rms_rad == pytest.approx(np.sqrt(np.mean(np.square(errors))), rel=1e-6)
     assert sums.pairs.sum() == len(errors)
@@ -66,12 +66,12 @@ def test_statistics():
 
 
 def test_residual_vectors_have_the_noise_of_the_centroids(scene):
-    data, _, bound = scene
-    vectors = residual_vectors(bound.selection, data.true.camera)
-    clean = ~data.calibration.truth.outlier[bound.selection.star]
-    n = np.diff(bound.selection.offsets)[bound.selection.exposure]
+    data, _, arcs = scene
+    vectors = residual_vectors(arcs.selection, data.true.camera)
+    clean = ~data.calibration.truth.outlier[arcs.selection.star]
+    n = np.diff(arcs.selection.offsets)[arcs.selection.exposure]
     scaled = vectors / np.sqrt((2 * n - 3) / (2 * n))[:, None]
-    sd = data.calibration.truth.sd_px[bound.selection.star]
+    sd = data.calibration.truth.sd_px[arcs.selection.star]
     assert np.sqrt(np.mean((scaled[clean] / sd[clean, None]) ** 2)) == pytest.approx(1.0, abs=0.05)
 
 

@@ -18,8 +18,10 @@ _DAMPING_START = 1e-6
 # Below this damping shortens no step worth mentioning: what a rejected step is tried again with.
 _DAMPING_FELT = 1e-2
 _DAMPING_LIMIT = 1e12
-# Steps below this part of a parameter's sd don't matter to anyone.
+# What a step of this part of a parameter's sd changes doesn't matter to anyone.
 _STEP_SD = 1e-3
+# Above this the steps' lengths don't yet foretell the next one's.
+_FORETELLING_SD = 0.1
 
 
 @dataclass(frozen=True)
@@ -30,10 +32,10 @@ class BatchSolution:
     ----------
     parameters : (P,)
     information : the factor at the solution, in scaled parameters (one unit = one Table II sigma);
-        its matrix is that of the last linearisation, within a thousandth of an sd
+        its matrix is that of the last linearisation, within a tenth of an sd
     chi2 : weighted sum of squares at the solution
     iterations : accepted steps
-    converged : whether the last step was below a thousandth of every parameter's sd
+    converged : whether what is left is below a thousandth of every parameter's sd
     """
 
     parameters: Floats
@@ -51,28 +53,39 @@ def levenberg_marquardt(linearise: Linearise, start: Floats, scale: Floats) -> B
     """
     x = np.array(start, dtype=np.float64)
     here = scaled(linearise(x), scale)
-    damping, accepted, converged = _DAMPING_START, 0, False
+    damping, accepted, converged, before = _DAMPING_START, 0, False, 0.0
     for _ in range(_ITERATIONS):
         # LAPACK prints on standard output when it is handed NaN.
         if not (np.isfinite(here.root).all() and np.isfinite(here.projected).all()):
             break
         whole = _damped_step(here, 0.0)
         # The undamped length decides on convergence, or heavy damping would feign it.
-        if _in_sd(here, whole) < _STEP_SD:
-            # So short a step needs no look at where it leads, which would be one more pass.
+        length = _in_sd(here, whole)
+        if _last_step(length, before):
+            # Such a step needs no look at where it leads, which would be one more pass.
             x, here, converged = x + whole * scale, _after(here, whole), True
             accepted += 1
             break
         step = _damped_step(here, damping)
         there = scaled(linearise(x + step * scale), scale)
         if np.isfinite(there.chi2) and there.chi2 <= here.chi2 * (1.0 + 1e-12):
-            x, here = x + step * scale, there
+            x, here, before = x + step * scale, there, length
             damping, accepted = max(damping / 10.0, 1e-12), accepted + 1
         else:
             damping = max(10.0 * damping, _DAMPING_FELT)
             if damping > _DAMPING_LIMIT:
                 break
     return BatchSolution(x, here, here.chi2, accepted, converged)
+
+
+def _last_step(length: float, before: float) -> bool:
+    """Return whether nothing that matters is left after a step, the accepted one being ``before``.
+
+    Steps shrink by a ratio that itself falls, so the next is at most length (length / before).
+    """
+    if length < _STEP_SD:
+        return True
+    return length < _FORETELLING_SD and length * length < _STEP_SD * before
 
 
 def _damped_step(information: SquareRootInformation, damping: float) -> Floats:

@@ -19,7 +19,7 @@ from stcal.pipeline.identifying import Series, series_of, series_step
 from stcal.pipeline.pieces import Piece, step_for, thinned
 from stcal.pipeline.sums import total
 from stcal.pipeline.views import ViewSums, view_sums
-from stcal.residuals import BoundArclength, StarSelection, bind_arclength, select_stars
+from stcal.residuals import Arcs, StarSelection, choose_arcs, select_stars
 
 Floats = NDArray[np.float64]
 
@@ -106,9 +106,9 @@ class Compare:
         for k, one in enumerate(matched):
             out[:, FIXED[k]] = one.frame_solved
             out[:, STARS[k]] = one.matches_per_frame
-            bound = bind_arclength(stars[k], self.calibrations[k].camera)
+            arcs = choose_arcs(stars[k])
             for j, calibration in enumerate(self.calibrations):
-                sums = _pair_sums(bound, one, calibration)
+                sums = _pair_sums(arcs, one, calibration)
                 out[:, SQUARES[k][j]], out[:, PAIRS[k]] = sums.squares, sums.pairs
         return out
 
@@ -124,10 +124,10 @@ class Compare:
         return view_sums(stars[0], old, new), view_sums(stars[1], old, new)
 
 
-def _pair_sums(bound: BoundArclength, matched: MatchedFrames, calibration: Calibration) -> PairSums:
+def _pair_sums(arcs: Arcs, matched: MatchedFrames, calibration: Calibration) -> PairSums:
     frames = matched.frames
     frame = frames.exposure_of_star // EXPOSURES_PER_FRAME
-    return pair_sums(bound, frame, frames.n_frames, calibration.camera)
+    return pair_sums(arcs, frame, frames.n_frames, calibration.camera)
 
 
 def compared_frames(

@@ -15,7 +15,7 @@ from stcal.estimators.batch import BatchSolution
 from stcal.execution import OrderedMap
 from stcal.matching import Matcher
 from stcal.pipeline.figures import arc_sums
-from stcal.pipeline.fitting import Fitting, Kept, fit_camera, forget
+from stcal.pipeline.fitting import Fitted, Fitting, Kept, fit_camera, forget
 from stcal.pipeline.identifying import Identified, Identify, series_step
 from stcal.pipeline.pieces import Piece, thinned
 from stcal.pipeline.scratch import Scratch
@@ -33,17 +33,33 @@ _SETTLED_SHARE = 1e-3
 class Cycle:
     """What one cycle of matching and fitting did.
 
-    ``fitting`` has kept its stars; ``rms`` [rad] is that of an even sample of the fragments (all of
-    them when they are few).
+    ``rms`` [rad] is that of an even sample of the fragments (all of them when they are few).
     """
 
-    fitting: Fitting
     matching: str
     identified: Identified
-    kept: Kept
-    solution: BatchSolution
-    camera: Camera
+    fitted: Fitted
     rms: float
+
+    @property
+    def fitting(self) -> Fitting:
+        """What has kept its stars."""
+        return self.fitted.fitting
+
+    @property
+    def kept(self) -> Kept:
+        """The stars that were fitted."""
+        return self.fitted.kept
+
+    @property
+    def solution(self) -> BatchSolution:
+        """What the batch estimator found."""
+        return self.fitted.solution
+
+    @property
+    def camera(self) -> Camera:
+        """The fitted camera."""
+        return self.fitted.camera
 
     @property
     def name(self) -> str:
@@ -74,51 +90,72 @@ def run_cycles(
     ``free`` are the places of the parameters to estimate; the others keep their initial values.
     Later cycles rematch with the latest camera: lost in space if the first was, else guided by the
     previous matches.  ``scratch`` keeps the first cycle's attitudes and the last cycle's stars.
+
+    A camera that is only matched with is fitted to an even sample of many fragments, the last one
+    to all: which is the last is known when its matches are.
     """
     camera, before = initial.camera, None
     cycles: list[Cycle] = []
-    for number in range(1, matcher.config.fit.maximum_cycles + 1):
+    most = matcher.config.fit.maximum_cycles
+    for number in range(1, most + 1):
         identify = Identify(
             scratch=scratch, matcher=matcher, camera=camera, c_sd=initial.c_sd,
             cycle=f"cycle {number}", method=matches if before is None else _later(matches),
             before=before, step=series_step(pieces),
         )  # fmt: skip
-        cycle = _one_cycle(identify, pieces, residual, free, mapper)
+        identified = total(mapper(identify, pieces))
+        settled = before is not None and _settled(identified)
+        roughly = not settled and number < most
+        cycle = _fitted(identify, identified, pieces, residual, free, mapper, roughly)
         if before is not None:
             _forget(scratch, before)
         cycles.append(cycle)
         on_cycle(cycle)
-        if not np.isfinite(cycle.camera.parameters).all() or not cycle.kept.rows:
-            return cycles, False
-        found = cycle.identified
-        settled = found.changed <= _SETTLED_SHARE * max(found.matched_stars, 1)
-        if before is not None and settled:
-            return cycles, True
+        if settled or not cycle.fitted.usable:
+            break
         camera, before = cycle.camera, cycle.name
-    return cycles, False
+    return cycles, settled
+
+
+def change_in_sd(cycles: Sequence[Cycle], which: int, covariance: Floats) -> float:
+    """Return the largest change of a parameter by a cycle, in sd; infinite for the first.
+
+    That of the even sample's camera, which every cycle has; ``covariance`` (P, P) gives the sd, NaN
+    where the estimator found none.
+    """
+    which %= len(cycles)
+    if which == 0:
+        return float("inf")
+    before, after = (cycles[k].fitted.sampled.parameters for k in (which - 1, which))
+    free = cycles[which].fitting.free
+    sd = np.sqrt(np.diag(covariance))[free]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(np.max(np.abs(after - before)[free] / sd))
 
 
 def _later(matches: str) -> str:
     return "lost-in-space" if matches == "lost-in-space" else "guided"
 
 
-def _one_cycle(
-    identify: Identify, pieces: Sequence[Piece], residual: Residual, free: Ints, mapper: OrderedMap
+def _settled(identified: Identified) -> bool:
+    return identified.changed <= _SETTLED_SHARE * max(identified.matched_stars, 1)
+
+
+def _fitted(
+    identify: Identify,
+    identified: Identified,
+    pieces: Sequence[Piece],
+    residual: Residual,
+    free: Ints,
+    mapper: OrderedMap,
+    roughly: bool,
 ) -> Cycle:
-    identified = total(mapper(identify, pieces))
-    scratch, config = identify.scratch, identify.matcher.config
-    start = Fitting(scratch, identify.cycle, config, residual, free)
-    fitted = fit_camera(start, pieces, identify.camera, identified.departures, mapper)
+    config, departures = identify.matcher.config, identified.departures
+    start = Fitting(identify.scratch, identify.cycle, config, residual, free)
+    fitted = fit_camera(start, pieces, identify.camera, departures, mapper, roughly)
     arcs = partial(arc_sums, fitting=fitted.fitting, cameras=(fitted.camera,))
-    return Cycle(
-        fitting=fitted.fitting,
-        matching=identify.method,
-        identified=identified,
-        kept=fitted.kept,
-        solution=fitted.solution,
-        camera=fitted.camera,
-        rms=float(total(mapper(arcs, thinned(pieces))).rms_rad[0]),
-    )
+    rms = float(total(mapper(arcs, thinned(pieces))).rms_rad[0])
+    return Cycle(identify.method, identified, fitted, rms)
 
 
 def _forget(scratch: Scratch, cycle: str) -> None:

@@ -14,7 +14,7 @@ from stcal.constants import ARCSEC, URAD
 from stcal.estimators.batch import Observability
 from stcal.frames import Fragment
 from stcal.matching import Matcher
-from stcal.pipeline.cycles import Cycle
+from stcal.pipeline.cycles import Cycle, change_in_sd
 from stcal.pipeline.estimate import Estimate, Solution
 from stcal.pipeline.numbers import number, numbers
 from stcal.pipeline.pieces import Piece
@@ -159,12 +159,7 @@ def quality(document: dict[str, Any]) -> dict[str, Any]:
 
 
 def _cycle(cycles: Sequence[Cycle], k: int, solution: Solution) -> dict[str, Any]:
-    cycle, free = cycles[k], solution.free
-    before = cycles[k - 1].camera.parameters[free] if k else None
-    sd = np.sqrt(np.diag(solution.covariance))[free]
-    moved = None
-    if before is not None and np.isfinite(sd).all():
-        moved = number(float(np.max(np.abs(cycle.camera.parameters[free] - before) / sd)))
+    cycle = cycles[k]
     found = cycle.identified
     return {
         "cycle": k + 1,
@@ -177,10 +172,11 @@ def _cycle(cycles: Sequence[Cycle], k: int, solution: Solution) -> dict[str, Any
         "converged": cycle.solution.converged,
         "rms_urad": number(cycle.rms / URAD),
         "chi2": number(cycle.solution.chi2),
-        "dof": cycle.solution.information.rows - len(free),
+        "stars_fitted": cycle.kept.stars,
+        "dof": cycle.solution.information.rows - len(solution.free),
         "noise_scale": number(cycle.noise_scale),
         "stars_rejected": cycle.kept.rejected,
-        "change_sd": moved,
+        "change_sd": number(change_in_sd(cycles, k, solution.covariance)),
     }
 
 

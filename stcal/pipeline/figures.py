@@ -19,7 +19,7 @@ from stcal.pipeline.identifying import get_stars
 from stcal.pipeline.pieces import Piece
 from stcal.pipeline.sums import Sums
 from stcal.pipeline.views import ViewSums, view_sums
-from stcal.residuals import StarSelection, bind_arclength
+from stcal.residuals import StarSelection, choose_arcs
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -42,9 +42,9 @@ class ArcSums(Sums):
 
 def arc_sums(piece: Piece, fitting: Fitting, cameras: Sequence[Camera]) -> ArcSums:
     """Sum the arclength errors of the stars that a fit has kept."""
-    bound = bind_arclength(fitting.kept_stars(piece), cameras[0])
-    squares = [float((bound.departures(camera) ** 2).sum()) for camera in cameras]
-    return ArcSums(np.array(squares), len(bound.arc))
+    arcs = choose_arcs(fitting.kept_stars(piece))
+    squares = [float((arcs.departures(camera) ** 2).sum()) for camera in cameras]
+    return ArcSums(np.array(squares), len(arcs))
 
 
 @dataclass(frozen=True)

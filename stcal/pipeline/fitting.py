@@ -128,21 +128,36 @@ def reduced(bound: BoundResidual, camera: Camera, free: Ints) -> SquareRootInfor
 
 @dataclass(frozen=True)
 class Fitted:
-    """A camera fitted to the stars that the round of ``fitting`` has kept."""
+    """A camera fitted to the stars that the round of ``fitting`` has kept.
+
+    ``sampled`` is the camera of the even sample, ``camera`` itself where there was no other fit.
+    """
 
     fitting: Fitting
     camera: Camera
     kept: Kept
     solution: BatchSolution
+    sampled: Camera
+
+    @property
+    def usable(self) -> bool:
+        """Whether stars have been fitted, and gave a camera."""
+        return self.kept.rows > 0 and bool(np.isfinite(self.camera.parameters).all())
 
 
 def fit_camera(
-    fitting: Fitting, pieces: Sequence[Piece], camera: Camera, departures: Ints, mapper: OrderedMap
+    fitting: Fitting,
+    pieces: Sequence[Piece],
+    camera: Camera,
+    departures: Ints,
+    mapper: OrderedMap,
+    roughly: bool = False,
 ) -> Fitted:
     """Fit a camera to the kept stars of a cycle, outliers left out until they settle.
 
     Of many pieces an even sample is fitted first; its camera and scale then judge the outliers of
-    all of them, and are so near the solution that a step or two over everything find it.
+    all of them, and are so near the solution that a step or two over everything find it.  With
+    ``roughly`` the sample's camera will do, unless the sample gives none.
 
     ``departures`` are those of all pieces at the camera to start from.
     """
@@ -159,10 +174,10 @@ def fit_camera(
             break
         fitted = _solved(now, few, camera, kept, here, mapper)
     assert fitted is not None
-    if len(few) < len(pieces):
+    if len(few) < len(pieces) and not (roughly and fitted.usable):
         camera, now = fitted.camera, replace(fitting, round_=_REJECTION_ROUNDS)
         kept, here = _rejected(now, pieces, camera, scale, mapper)
-        fitted = _solved(now, pieces, camera, kept, here, mapper)
+        fitted = replace(_solved(now, pieces, camera, kept, here, mapper), sampled=camera)
     return fitted
 
 
@@ -187,9 +202,8 @@ def _solved(
     scales = parameter_scale(fitting.config, camera.parameter_names)[fitting.free]
     solution = levenberg_marquardt(factor, start, scales)
     fitting.scratch.drop(fitting.name("bound"))
-    return Fitted(
-        fitting, with_estimated(camera, fitting.free, solution.parameters), kept, solution
-    )
+    fitted = with_estimated(camera, fitting.free, solution.parameters)
+    return Fitted(fitting, fitted, kept, solution, sampled=fitted)
 
 
 def _rejected(

@@ -10,8 +10,8 @@ import numpy as np
 from stcal.calibration import Calibration
 from stcal.config import Fit, SensorConfig
 from stcal.constants import URAD
-from stcal.pipeline.cycles import Cycle
-from stcal.pipeline.estimate import Estimate, Solution
+from stcal.pipeline.cycles import Cycle, change_in_sd
+from stcal.pipeline.estimate import Estimate
 
 if TYPE_CHECKING:
     from stcal.pipeline.filter_run import Run
@@ -130,23 +130,13 @@ def _not_converged(estimate: Estimate, cycles: Sequence[Cycle], settled: bool) -
         reasons.append(
             f"the estimator did not converge in {last.solution.iterations} accepted steps"
         )
-    moved = change_in_last_cycle_sd(cycles, estimate.solution)
+    moved = change_in_sd(cycles, -1, estimate.solution.covariance)
     if not settled and moved > _UNSETTLED_SD:
         reasons.append(
             f"the matched set did not settle in {len(cycles)} cycles: the last one "
             f"changed {last.identified.changed} matches and moved a parameter by {moved:.1f} sd"
         )
     return reasons
-
-
-def change_in_last_cycle_sd(cycles: Sequence[Cycle], solution: Solution) -> float:
-    """Largest change of a parameter by the last cycle, in sd; infinite after one cycle."""
-    if len(cycles) < 2:
-        return float("inf")
-    before, after = (c.camera.parameters[solution.free] for c in cycles[-2:])
-    sd = np.sqrt(np.diag(solution.covariance))[solution.free]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return float(np.max(np.abs(after - before) / sd))
 
 
 def _degenerate(estimate: Estimate, gates: Fit) -> list[str]:

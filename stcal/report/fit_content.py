@@ -89,14 +89,14 @@ def fit_facts(document: Document) -> Table:
 def cycle_table(document: Document) -> Table:
     """One row per cycle of rematching."""
     header = ("Cycle", "Matching", "Frames solved", "Exposures solved", "Matched stars",
-              "Matches changed", "Iterations", "RMS [µrad]", "chi² / dof", "Noise scale",
-              "Stars rejected", "Largest change [sd]")  # fmt: skip
+              "Matches changed", "Stars fitted", "Iterations", "RMS [µrad]", "chi² / dof",
+              "Noise scale", "Stars rejected", "Largest change [sd]")  # fmt: skip
     rows = tuple(
         (
             count(cycle.get("cycle")),
             words(cycle.get("matching")),
             *(count(cycle.get(key)) for key in ("frames_solved", "exposures_solved",
-              "matched_stars", "matches_changed", "iterations")),
+              "matched_stars", "matches_changed", "stars_fitted", "iterations")),
             rms(cycle.get("rms_urad")),
             fixed(quotient(cycle.get("chi2"), cycle.get("dof")), 3),
             fixed(cycle.get("noise_scale"), 3),

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from stcal.cameras import Camera
 from stcal.errors import UsageError
-from stcal.residuals.arclength import BoundArclength, bind_arclength
+from stcal.residuals.arclength import Arcs, choose_arcs
 from stcal.residuals.bound import BoundResidual, bind_blocks
 from stcal.residuals.selection import StarSelection, select_stars
 
@@ -71,8 +71,6 @@ class Residual:
 
     def bind(self, selection: StarSelection, camera: Camera) -> BoundResidual:
         """Bind to matched stars; the camera gives the noise in rad."""
-        if self.name == "arclength":
-            return bind_arclength(selection, camera)
         blocks = bind_blocks(self.name, selection, camera, self.options)
         return BoundResidual(selection, self.name, blocks)
 
@@ -82,10 +80,10 @@ ARCLENGTH = Residual()
 __all__ = [
     "ARCLENGTH",
     "RESIDUALS",
-    "BoundArclength",
+    "Arcs",
     "BoundResidual",
     "Residual",
     "StarSelection",
-    "bind_arclength",
+    "choose_arcs",
     "select_stars",
 ]

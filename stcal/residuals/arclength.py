@@ -1,15 +1,13 @@
-"""Residual ``arclength``: separations of star pairs against the catalogue, Enright 2018 II-B."""
+"""Star pairs by the 2 N - 3 rule: separations against the catalogue, Enright 2018 II-B."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stcal.cameras import Camera
-from stcal.residuals.bound import BoundResidual, bind_blocks
 from stcal.residuals.selection import StarSelection
 
 Floats = NDArray[np.float64]
@@ -17,44 +15,44 @@ Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class BoundArclength(BoundResidual):
-    """Arcs of a selection with their whitening; what the performance metrics are made of too."""
+class Arcs:
+    """Arcs of a selection, exposure by exposure; what the performance metrics are made of.
 
-    @cached_property
-    def pair_i(self) -> Ints:
-        """(A,) the first star of each arc, an index into the selection."""
-        return self._joined(0, [block.first for block in self.blocks])
+    Attributes
+    ----------
+    selection : the stars
+    pair_i, pair_j : (A,) the two stars of each arc, indices into the selection
+    starts : (A,) first arc of the arc's exposure
+    """
 
-    @cached_property
-    def pair_j(self) -> Ints:
-        """(A,) the second star of each arc."""
-        return self._joined(1, [block.first for block in self.blocks])
+    selection: StarSelection
+    pair_i: Ints
+    pair_j: Ints
+    starts: Ints
 
-    @cached_property
-    def starts(self) -> Ints:
-        """(A,) first row of the arc's exposure."""
-        before = np.cumsum([0] + [int(block.ints[0]) for block in self.blocks])
-        return self._joined(2, before[:-1].tolist())
-
-    def _joined(self, which: int, shifts: list[int]) -> Ints:
-        """Join one of the blocks' columns of numbers, which count from the block's own first."""
-        from stcal.residuals.arclength_kernels import arc_stars
-
-        parts = [
-            arc_stars(block.ints)[which] + shift
-            for block, shift in zip(self.blocks, shifts, strict=True)
-        ]
-        return np.concatenate([np.empty(0, np.int64), *parts])
-
-    @cached_property
-    def arc(self) -> Floats:
-        """(A,) rad, separation by the catalogue, eq (10)."""
-        return separations(self.selection.s_i[self.pair_i], self.selection.s_i[self.pair_j])
+    def __len__(self) -> int:
+        """Return the number of arcs A."""
+        return len(self.pair_i)
 
     def departures(self, camera: Camera) -> Floats:
         """Return the arclength errors (A,) in rad, unweighted, eq (12)."""
-        s_d = camera.directions(self.selection.row_px, self.selection.col_px)
-        return separations(s_d[self.pair_i], s_d[self.pair_j]) - self.arc
+        from stcal.residuals.arclength_kernels import arc_errors
+
+        row_px, col_px, s_i, _ = self.selection.columns
+        out = np.empty(len(self))
+        arc_errors(self.pair_i, self.pair_j, camera.directions(row_px, col_px), s_i, out)
+        return out
+
+
+def choose_arcs(selection: StarSelection) -> Arcs:
+    """Choose the 2 N - 3 arcs of each exposure; the arclength residual has the same."""
+    from stcal.residuals.arclength_kernels import list_arcs
+    from stcal.residuals.ordering_kernels import count_pairs
+
+    count, s_i = count_pairs(selection.offsets), selection.columns[2]
+    pair_i, pair_j, starts = (np.empty(count, np.int64) for _ in range(3))
+    list_arcs(selection.offsets, s_i, pair_i, pair_j, starts)
+    return Arcs(selection, pair_i, pair_j, starts)
 
 
 def separations(a: Floats, b: Floats) -> Floats:
@@ -62,12 +60,3 @@ def separations(a: Floats, b: Floats) -> Floats:
     return np.asarray(
         2.0 * np.arctan2(np.linalg.norm(a - b, axis=1), np.linalg.norm(a + b, axis=1))
     )
-
-
-def bind_arclength(selection: StarSelection, camera: Camera) -> BoundArclength:
-    """Choose the 2 N - 3 arcs of each exposure and factor their covariance.
-
-    The noise in rad is that of the camera given, and how it changes with the parameters.
-    """
-    blocks = bind_blocks("arclength", selection, camera, np.empty(0))
-    return BoundArclength(selection, "arclength", blocks)

@@ -37,39 +37,55 @@ def _tangent(s, i, j, out, row, side):
 
 
 @kernel
-def factor(offsets, s_i, order, sd, pair_i, pair_j, lower):
-    """List the 2 N - 3 arcs of each exposure and factor their covariance.
+def list_arcs(offsets, s_i, pair_i, pair_j, starts):
+    """Fill the stars (A,) of the 2 N - 3 arcs of each exposure, and the exposure's first arc."""
+    order = np.empty(s_i.shape[0], np.int64)
+    order_stars(offsets, s_i, order)
+    row = 0
+    for x in range(offsets.shape[0] - 1):
+        start, last = row, offsets[x + 1]
+        for i in range(offsets[x], last - 1):
+            for j in range(i + 1, min(i + 3, last)):
+                pair_i[row], pair_j[row], starts[row] = order[i], order[j], start
+                row += 1
 
-    ``pair_i``, ``pair_j`` (A,) are the stars of each arc; ``lower`` (A, BAND + 1) is the banded
-    Cholesky factor of R, eqs (16)-(18): lower[k, BAND - d] = L[k, k - d].  cos psi of (18) is the
-    product of the tangents at the shared star.  The diagonal is infinite for a dependent arc,
-    which drops out.  Returns the number of dependent arcs.
+
+@kernel
+def arc_angle(s, i, j):
+    """Return the angle [rad] between rows i and j of unit vectors (K, 3)."""
+    return 2.0 * math.asin(min(1.0, 0.5 * math.sqrt(distance2(s, i, j))))
+
+
+@kernel
+def arc_errors(pair_i, pair_j, s_d, s_i, out):
+    """Fill the arclength errors (A,) in rad, eq (12)."""
+    for row in range(pair_i.shape[0]):
+        i, j = pair_i[row], pair_j[row]
+        out[row] = arc_angle(s_d, i, j) - arc_angle(s_i, i, j)
+
+
+@kernel
+def factor(starts, s_i, sd, pair_i, pair_j, lower):
+    """Factor the covariance of the arcs of each exposure; return the number of dependent arcs.
+
+    ``lower`` (A, BAND + 1) is the banded Cholesky factor of R, eqs (16)-(18): lower[k, BAND - d] =
+    L[k, k - d].  cos psi of (18) is the product of the tangents at the shared star.  The diagonal
+    is infinite for a dependent arc, which drops out.
     """
     # Unit tangents of each arc at its two stars, towards the other one.
     tangent = np.empty((pair_i.shape[0], 2, 3))
     dropped = 0
-    # From a plain 0 what takes a row would be compiled twice.
-    row = np.int64(0)
-    for x in range(offsets.shape[0] - 1):
-        first, last = offsets[x], offsets[x + 1]
-        start = row
-        for i in range(first, last - 1):
-            for step in range(1, 3):
-                if i + step >= last:
-                    continue
-                a, b = order[i], order[i + step]
-                pair_i[row], pair_j[row] = a, b
-                for side in range(2):
-                    here, there = (a, b) if side == 0 else (b, a)
-                    _tangent(s_i, here, there, tangent, row, side)
-                lower[row, BAND] = sd[a] * sd[a] + sd[b] * sd[b]
-                for d in range(1, BAND + 1):
-                    value = 0.0
-                    if row - d >= start:
-                        value = _shared(sd, pair_i, pair_j, tangent, row, row - d)
-                    lower[row, BAND - d] = value
-                dropped += _cholesky_row(lower, row, start)
-                row += 1
+    for row in range(pair_i.shape[0]):
+        a, b, start = pair_i[row], pair_j[row], starts[row]
+        _tangent(s_i, a, b, tangent, row, 0)
+        _tangent(s_i, b, a, tangent, row, 1)
+        lower[row, BAND] = sd[a] * sd[a] + sd[b] * sd[b]
+        for d in range(1, BAND + 1):
+            value = 0.0
+            if row - d >= start:
+                value = _shared(sd, pair_i, pair_j, tangent, row, row - d)
+            lower[row, BAND - d] = value
+        dropped += _cholesky_row(lower, row, start)
     return dropped
 
 
@@ -132,24 +148,18 @@ def bind(offsets, s_i, sd, star_slope, reference, options):
     slope (A, P), reference (P,).
     """
     parameters = reference.shape[0]
-    order = np.empty(s_i.shape[0], np.int64)
-    order_stars(offsets, s_i, order)
     count = count_pairs(offsets)
     ints = np.empty(2 + 3 * count, np.int64)
     floats = np.empty(count * (BAND + 2 + parameters) + parameters)
     ints[0] = count
     pair_i, pair_j, starts = arc_stars(ints)
     lower, arc, slope, kept = arc_tables(ints, floats, parameters)
-    ints[1] = factor(offsets, s_i, order, sd, pair_i, pair_j, lower)
+    list_arcs(offsets, s_i, pair_i, pair_j, starts)
+    ints[1] = factor(starts, s_i, sd, pair_i, pair_j, lower)
     kept[:] = reference
-    row = 0
-    for x in range(offsets.shape[0] - 1):
-        arcs = max(2 * (offsets[x + 1] - offsets[x]) - 3, 0)
-        starts[row : row + arcs] = row
-        row += arcs
     for a in range(count):
         i, j = pair_i[a], pair_j[a]
-        arc[a] = 2.0 * math.asin(min(1.0, 0.5 * math.sqrt(distance2(s_i, i, j))))
+        arc[a] = arc_angle(s_i, i, j)
         # An arc's log-sd slope is the mean of its stars', weighted by variance.
         share = sd[i] * sd[i] / (sd[i] * sd[i] + sd[j] * sd[j])
         for p in range(parameters):

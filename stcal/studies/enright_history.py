@@ -17,7 +17,7 @@ from stcal.frames import FrameBatch
 from stcal.matching import Matcher, match
 from stcal.pipeline.filter_run import Run
 from stcal.pipeline.numbers import number, numbers
-from stcal.residuals.arclength import BoundArclength
+from stcal.residuals.arclength import Arcs
 from stcal.studies.enright_runs import Fits
 from stcal.studies.evaluation import evaluate, pairs_of, rms_urad
 
@@ -91,26 +91,26 @@ def tail_and_aggregate(
     each frame with its own estimate, eq (33).  Both are over the pairs that the camera which the
     filters start from identifies.
     """
-    bound = pairs_of(match(frames, start, again.initial.c_sd, matcher), start, matcher)
+    arcs = pairs_of(match(frames, start, again.initial.c_sd, matcher), matcher)
     shown = shown_frames(frames.n_frames)
-    series: dict[str, Any] = {"frame": shown.tolist(), "pairs": len(bound.arc)}
+    series: dict[str, Any] = {"frame": shown.tolist(), "pairs": len(arcs)}
     for name in ("q", "no_q"):
         run = again.runs[name]
         history = run.filter.parameters(run.history.x)
         series[name] = {
             "tail_urad": [
-                number(rms_urad(bound.departures(start.with_parameters(history[k - 1]))))
+                number(rms_urad(arcs.departures(start.with_parameters(history[k - 1]))))
                 for k in shown
             ],
-            "aggregate_urad": number(_aggregate(frames, bound, start, history)),
+            "aggregate_urad": number(_aggregate(frames, arcs, start, history)),
         }
     return series
 
 
-def _aggregate(frames: FrameBatch, bound: BoundArclength, camera: Camera, history: Floats) -> float:
+def _aggregate(frames: FrameBatch, arcs: Arcs, camera: Camera, history: Floats) -> float:
     """RMS with the estimates (F, P) after each frame: each centroid has its frame's camera."""
-    frame = frames.exposure_of_star[bound.selection.star] // EXPOSURES_PER_FRAME
-    return rms_urad(bound.departures(camera.with_parameters(history[frame].T)))
+    frame = frames.exposure_of_star[arcs.selection.star] // EXPOSURES_PER_FRAME
+    return rms_urad(arcs.departures(camera.with_parameters(history[frame].T)))
 
 
 def radial_difference(cameras: Mapping[str, Camera]) -> dict[str, Any]:

@@ -13,8 +13,8 @@ from stcal.constants import URAD
 from stcal.frames import FrameBatch, MatchedFrames
 from stcal.matching import Matcher, match
 from stcal.pipeline.numbers import number
-from stcal.residuals import bind_arclength, select_stars
-from stcal.residuals.arclength import BoundArclength
+from stcal.residuals import choose_arcs, select_stars
+from stcal.residuals.arclength import Arcs
 
 Floats = NDArray[np.float64]
 
@@ -43,30 +43,30 @@ def evaluate(
     """
     counted = frames.take(frames.counts_for_availability)
     matched = {name: match(counted, c, c_sd, matcher) for name, c in cameras.items()}
-    bound = {name: pairs_of(m, cameras[name], matcher) for name, m in matched.items()}
-    chosen = max((name for name in bound if name != TRUE), key=lambda name: len(bound[name].arc))
+    arcs = {name: pairs_of(m, matcher) for name, m in matched.items()}
+    chosen = max((name for name in arcs if name != TRUE), key=lambda name: len(arcs[name]))
     first = next(iter(matched.values())).is_matched.sum()
     return {
         "frames": counted.n_frames,
-        "pairs": len(bound[chosen].arc),
+        "pairs": len(arcs[chosen]),
         "pairs_from": chosen,
         "cameras": {
             name: {
                 "availability": number(float(m.frame_solved.mean())),
                 "matched_stars": int(m.is_matched.sum()),
                 "matched_star_ratio": number(float(m.is_matched.sum() / first)) if first else None,
-                "rms_urad": number(rms_urad(bound[chosen].departures(cameras[name]))),
-                "own_rms_urad": number(rms_urad(bound[name].departures(cameras[name]))),
+                "rms_urad": number(rms_urad(arcs[chosen].departures(cameras[name]))),
+                "own_rms_urad": number(rms_urad(arcs[name].departures(cameras[name]))),
             }
             for name, m in matched.items()
         },
     }
 
 
-def pairs_of(matched: MatchedFrames, camera: Camera, matcher: Matcher) -> BoundArclength:
+def pairs_of(matched: MatchedFrames, matcher: Matcher) -> Arcs:
     """Return the star pairs of every solved exposure by the 2 N - 3 rule."""
     noise, minimum = matcher.config.noise, matcher.config.fit.minimum_stars_per_exposure
-    return bind_arclength(select_stars(matched, noise, minimum), camera)
+    return choose_arcs(select_stars(matched, noise, minimum))
 
 
 def rms_urad(departures: Floats) -> float:

@@ -12,7 +12,7 @@ from stcal.errors import UsageError
 from stcal.matching import match
 from stcal.metrics import pair_sums
 from stcal.pipeline.filter_run import Run
-from stcal.residuals.arclength import BoundArclength
+from stcal.residuals.arclength import Arcs
 from stcal.studies.evaluation import pairs_of
 from stcal.studies.tracking_cases import Followed
 
@@ -127,15 +127,15 @@ def step_frame(parameters: Floats) -> int:
     return int(changes[0]) + 1
 
 
-def pairs_of_truth(followed: Followed) -> BoundArclength:
+def pairs_of_truth(followed: Followed) -> Arcs:
     """Return the star pairs that the simulation's own camera identifies: the same for everyone."""
     simulation, matcher = followed.simulation, followed.matcher
     true, frames = simulation.true, simulation.calibration.frames
-    return pairs_of(match(frames, true.camera, true.c_sd, matcher), true.camera, matcher)
+    return pairs_of(match(frames, true.camera, true.c_sd, matcher), matcher)
 
 
 def squares_by_frame(
-    followed: Followed, bound: BoundArclength, parameters: Floats
+    followed: Followed, arcs: Arcs, parameters: Floats
 ) -> tuple[Floats, NDArray[np.int64]]:
     """Return sums (F,) of squared arclength errors [rad^2] and numbers of pairs of each frame.
 
@@ -144,6 +144,6 @@ def squares_by_frame(
     frames = followed.simulation.calibration.frames
     frame = frames.exposure_of_star // EXPOSURES_PER_FRAME
     camera = followed.simulation.true.camera
-    drifting = camera.with_parameters(parameters[frame[bound.selection.star]].T)
-    sums = pair_sums(bound, frame, frames.n_frames, drifting)
+    drifting = camera.with_parameters(parameters[frame[arcs.selection.star]].T)
+    sums = pair_sums(arcs, frame, frames.n_frames, drifting)
     return sums.squares, sums.pairs

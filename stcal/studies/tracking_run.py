@@ -75,10 +75,10 @@ def _errors_by_frame(
     followed: Followed, truth: Floats
 ) -> dict[str, tuple[Floats, NDArray[np.int64]]]:
     """Return squares and pairs by frame of each variant's foresight, and of the true camera."""
-    bound = pairs_of_truth(followed)
+    arcs = pairs_of_truth(followed)
     cameras = {name: foreseen(r.runs[r.chosen]) for name, r in followed.results.items()}
     return {
-        name: squares_by_frame(followed, bound, parameters)
+        name: squares_by_frame(followed, arcs, parameters)
         for name, parameters in ({"true": truth} | cameras).items()
     }
 

@@ -22,7 +22,6 @@ from stcal.pipeline.scratch import MemoryScratch
 from stcal.pipeline.sequential import fit_sequential
 from stcal.pipeline.validate import compare
 from stcal.residuals import ARCLENGTH, select_stars
-from stcal.residuals.arclength import bind_arclength
 
 PROVENANCE = {"parent_sha256": "a" * 64}
 METHODS = ["ekf", "sqrf", "ukf", "smoother"]
@@ -114,7 +113,7 @@ def test_the_window_makes_the_most_probable_state(number, frames):
     chosen, run = filtered("sqrf", data, part)
     scale, start = chosen.model.scale, data.initial.camera
     stars = select_stars(part, st16_config().noise, st16_config().fit.minimum_stars_per_exposure)
-    bound = bind_arclength(stars, start.with_parameters(run.camera_parameters))
+    bound = ARCLENGTH.bind(stars, start.with_parameters(run.camera_parameters))
 
     def rows(x):
         return bound.linearise(start.with_parameters(start.parameters + x * scale))

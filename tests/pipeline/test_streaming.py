@@ -3,7 +3,7 @@
 import gc
 import itertools
 import weakref
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -15,12 +15,19 @@ from stcal.pipeline.pieces import THINNED, pieces_of, step_for, thinned
 from stcal.pipeline.scratch import FolderScratch, MemoryScratch, scratch_folder
 from stcal.pipeline.validate import validate
 
+STARS = ("row_px", "col_px", "intensity", "star_id")
 HASHES = {"baseline": "b" * 64, "candidate": "c" * 64}
 
 
 def cut(frames: FrameBatch, count: int) -> list[FrameBatch]:
     edges = np.linspace(0, frames.n_frames, count + 1).astype(int)
     return [frames.take(np.arange(a, b)) for a, b in itertools.pairwise(edges)]
+
+
+def blind(frames: FrameBatch) -> FrameBatch:
+    """Frames without detections."""
+    none = {name: getattr(frames, name)[:0] for name in STARS}
+    return replace(frames, star_offsets=np.zeros_like(frames.star_offsets), **none)
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +55,25 @@ def test_a_thinned_start_ends_in_the_solution_of_all_frames(data, whole):
     assert ratio == pytest.approx(1.0, abs=0.01)
     fitted = [r.document["rms_urad"]["fitted"] for r in (found, whole)]
     assert fitted[0] == pytest.approx(fitted[1], rel=2e-3)
+    # Cameras that are only matched with are those of the sample.
+    *rough, last = [cycle["stars_fitted"] for cycle in found.document["cycles"]]
+    assert last == found.document["stars_used"]
+    assert rough
+    assert max(rough) < 0.5 * last
+
+
+def test_a_sample_without_stars_is_made_up_for_by_the_rest(data):
+    """Telemetry in which every fragment of the even sample is blind."""
+    parts = cut(data.calibration.frames, 2 * THINNED)
+    for k in range(0, len(parts), 2):
+        parts[k] = blind(parts[k])
+    found = fit_batch(parts, data.initial, st16_matcher(), {})
+    seen = fit_batch(parts[1::2], data.initial, st16_matcher(), {})
+    assert found.accepted
+    assert found.document["stars_used"] == pytest.approx(seen.document["stars_used"], abs=10)
+    sd = np.sqrt(np.diag(seen.calibration.covariance))
+    x, y = (r.calibration.camera.parameters for r in (found, seen))
+    assert (np.abs(x - y) < 0.3 * sd).all()
 
 
 def test_a_scratch_of_files_gives_the_same_bits(data, tmp_path):

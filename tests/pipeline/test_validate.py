@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from stcal.matching import match
 from stcal.pipeline.validate import compare, validate
-from stcal.residuals import bind_arclength, select_stars
+from stcal.residuals import choose_arcs, select_stars
 
 HASHES = {"baseline": "b" * 64, "candidate": "c" * 64, "telemetry_sha256": "d" * 64}
 
@@ -103,10 +103,10 @@ def test_the_common_pairs_are_the_larger_set_under_both_cameras(data):
     compared = compare([frames], data.initial, data.true, st16_matcher())
     assert compared.pairs_from == "candidate"
     matched = match(frames, data.true.camera, data.true.c_sd, st16_matcher())
-    bound = bind_arclength(select_stars(matched, st16_config().noise, 4), data.true.camera)
+    arcs = choose_arcs(select_stars(matched, st16_config().noise, 4))
     for sums, one in zip(compared.sums, (data.initial, data.true), strict=True):
-        assert sums.pairs.sum() == len(bound.arc)
-        expected = np.sqrt((bound.departures(one.camera) ** 2).mean())
+        assert sums.pairs.sum() == len(arcs)
+        expected = np.sqrt((arcs.departures(one.camera) ** 2).mean())
         assert sums.rms_rad == pytest.approx(expected, rel=1e-12)
 
 

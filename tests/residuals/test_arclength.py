@@ -5,8 +5,8 @@ import pytest
 from conftest import simulation, st16_config, st16_matcher
 
 from stcal.matching import match
-from stcal.residuals import select_stars
-from stcal.residuals.arclength import bind_arclength, separations
+from stcal.residuals import ARCLENGTH, choose_arcs, select_stars
+from stcal.residuals.arclength import separations
 from stcal.residuals.arclength_kernels import arc_tables
 from stcal.residuals.ordering_kernels import flatness2
 from stcal.residuals.selection import StarSelection
@@ -28,7 +28,12 @@ def selection(data):
 
 @pytest.fixture(scope="module")
 def bound(data, selection):
-    return bind_arclength(selection, data.true.camera)
+    return ARCLENGTH.bind(selection, data.true.camera)
+
+
+@pytest.fixture(scope="module")
+def arcs(selection):
+    return choose_arcs(selection)
 
 
 def tables(bound, parameters):
@@ -37,60 +42,60 @@ def tables(bound, parameters):
     return arc_tables(block.ints, block.floats, parameters)
 
 
-def dense_covariance(bound, camera):
+def dense_covariance(arcs, camera):
     """R by (16)-(18) as printed: dihedral angles from the spherical law of cosines."""
-    s, sel = bound.selection.s_i, bound.selection
+    s, sel = arcs.selection.s_i, arcs.selection
     sd = sel.sd_px * camera.noise_scale(sel.row_px, sel.col_px)
     angle = lambda a, b: np.arccos(np.clip(s[a] @ s[b], -1, 1))  # noqa: E731
-    n = len(bound.pair_i)
+    n = len(arcs.pair_i)
     R = np.zeros((n, n))
     for k in range(n):
-        R[k, k] = sd[bound.pair_i[k]] ** 2 + sd[bound.pair_j[k]] ** 2
+        R[k, k] = sd[arcs.pair_i[k]] ** 2 + sd[arcs.pair_j[k]] ** 2
         for m in range(max(0, k - 8), k):
-            if bound.starts[m] != bound.starts[k]:
+            if arcs.starts[m] != arcs.starts[k]:
                 continue
-            shared = {bound.pair_i[k], bound.pair_j[k]} & {bound.pair_i[m], bound.pair_j[m]}
+            shared = {arcs.pair_i[k], arcs.pair_j[k]} & {arcs.pair_i[m], arcs.pair_j[m]}
             if len(shared) == 1:
                 j = shared.pop()
-                i = ({bound.pair_i[k], bound.pair_j[k]} - {j}).pop()
-                l = ({bound.pair_i[m], bound.pair_j[m]} - {j}).pop()  # noqa: E741
+                i = ({arcs.pair_i[k], arcs.pair_j[k]} - {j}).pop()
+                l = ({arcs.pair_i[m], arcs.pair_j[m]} - {j}).pop()  # noqa: E741
                 a, b, c = angle(i, j), angle(j, l), angle(i, l)
                 cosine = (np.cos(c) - np.cos(a) * np.cos(b)) / (np.sin(a) * np.sin(b))
                 R[k, m] = R[m, k] = sd[j] ** 2 * cosine
     return R
 
 
-def test_arcs_follow_the_2n_minus_3_rule(bound):
+def test_arcs_follow_the_2n_minus_3_rule(arcs, bound):
     counts = np.diff(bound.selection.offsets)
-    assert len(bound.pair_i) == (2 * counts - 3).sum()
-    assert bound.dependent <= 0.001 * len(bound.pair_i)
+    assert len(arcs.pair_i) == (2 * counts - 3).sum()
+    assert bound.dependent <= 0.001 * len(arcs.pair_i)
     exposure = bound.selection.exposure
-    assert (exposure[bound.pair_i] == exposure[bound.pair_j]).all()
-    pairs = np.sort(np.stack([bound.pair_i, bound.pair_j], axis=1), axis=1)
+    assert (exposure[arcs.pair_i] == exposure[arcs.pair_j]).all()
+    pairs = np.sort(np.stack([arcs.pair_i, arcs.pair_j], axis=1), axis=1)
     assert len(np.unique(pairs, axis=0)) == len(pairs)
 
 
-def test_no_three_stars_in_sequence_are_collinear(bound):
+def test_no_three_stars_in_sequence_are_collinear(arcs):
     """Arcs (i, i+1), (i, i+2) of one exposure name its triples in sequence."""
-    s = bound.selection.s_i
+    s = arcs.selection.s_i
     flat = []
-    for k in range(len(bound.pair_i) - 1):
-        same = bound.starts[k] == bound.starts[k + 1] and bound.pair_i[k] == bound.pair_i[k + 1]
+    for k in range(len(arcs.pair_i) - 1):
+        same = arcs.starts[k] == arcs.starts[k + 1] and arcs.pair_i[k] == arcs.pair_i[k + 1]
         if same:
-            i, j, l = bound.pair_i[k], bound.pair_j[k], bound.pair_j[k + 1]  # noqa: E741
+            i, j, l = arcs.pair_i[k], arcs.pair_j[k], arcs.pair_j[k + 1]  # noqa: E741
             flat.append(np.sqrt(flatness2(*s[i], *s[j], *s[l])))
     assert np.median(flat) > 0.3
     assert np.mean(np.array(flat) < 0.02) < 0.01
 
 
-def test_whitening_is_the_inverse_cholesky_factor_of_r(bound, data):
+def test_whitening_is_the_inverse_cholesky_factor_of_r(arcs, bound, data):
     camera = data.initial.camera
-    R = dense_covariance(bound, data.true.camera)
+    R = dense_covariance(arcs, data.true.camera)
     lower, _, slope, reference = tables(bound, len(camera.parameters))
     keep = np.isfinite(lower[:, -1])
     root = np.linalg.cholesky(R[np.ix_(keep, keep)])
     s, by_parameter, _ = camera.jacobian(bound.selection.row_px, bound.selection.col_px)
-    i, j = bound.pair_i, bound.pair_j
+    i, j = arcs.pair_i, arcs.pair_j
     sine = np.sin(separations(s[i], s[j]))
     H = (
         -(
@@ -99,7 +104,7 @@ def test_whitening_is_the_inverse_cholesky_factor_of_r(bound, data):
         )
         / sine[:, None]
     )
-    e = bound.departures(camera)[:, None]
+    e = arcs.departures(camera)[:, None]
     scale = np.exp(slope @ (camera.parameters - reference))[:, None]
     rows = (np.column_stack([H - e * slope, e]) / scale)[keep]
     expected = np.linalg.solve(root, rows)
@@ -135,7 +140,7 @@ def test_whitened_residuals_are_white_with_the_true_camera(data):
         selection.star, selection.exposure, selection.row_px, selection.col_px, selection.s_i, sd,
         selection.n_exposures,
     )  # fmt: skip
-    r = bind_arclength(selection, data.true.camera).linearise(data.true.camera)[:, -1]
+    r = ARCLENGTH.bind(selection, data.true.camera).linearise(data.true.camera)[:, -1]
     assert len(r) > 800
     assert r.std() == pytest.approx(1.0, abs=4.0 / np.sqrt(2 * len(r)))
     for lag in (1, 2, 3, 4):
@@ -175,18 +180,18 @@ def test_collinear_stars_lose_only_the_dependent_arc():
     camera = simulation(4, 21, 60).initial.camera
     m, n = camera.project(s)
     line = StarSelection(np.arange(3), np.zeros(3, int), m, n, s, np.full(3, 0.3), 1)
-    bound = bind_arclength(line, camera)
+    bound = ARCLENGTH.bind(line, camera)
     assert bound.dependent == 1
     assert bound.rows == 2
     assert np.isfinite(bound.linearise(camera)).all()
 
 
-def test_the_noise_in_rad_follows_the_camera(bound, data):
+def test_the_noise_in_rad_follows_the_camera(arcs, bound, data):
     """The scale at another camera is what binding there would give."""
     true, initial = data.true.camera.parameters, data.initial.camera.parameters
     other = data.true.camera.with_parameters(true + 0.2 * (initial - true))
-    again = bind_arclength(bound.selection, other)
-    i, j = bound.pair_i, bound.pair_j
+    again = ARCLENGTH.bind(bound.selection, other)
+    i, j = arcs.pair_i, arcs.pair_j
     sel = bound.selection
 
     def sd(camera):
@@ -211,7 +216,7 @@ def test_noise_does_not_bias_the_gradient():
     scores = {"following": [], "fixed": []}
     for _ in range(40):
         row, col = m + rng.normal(0, 4.0, m.shape), n + rng.normal(0, 4.0, n.shape)
-        bound = bind_arclength(
+        bound = ARCLENGTH.bind(
             replace(stars, row_px=row, col_px=col, sd_px=np.full(len(m), 4.0)), camera
         )
         blocks = tuple(replace(b, floats=b.floats.copy()) for b in bound.blocks)

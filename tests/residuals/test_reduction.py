@@ -7,7 +7,8 @@ import pytest
 from conftest import simulation, st16_config, st16_matcher
 
 from stcal.matching import match
-from stcal.residuals import RESIDUALS, Residual, bound, select_stars
+from stcal.residuals import RESIDUALS, Residual, bound, choose_arcs, select_stars
+from stcal.residuals.arclength_kernels import arc_stars
 from stcal.residuals.block_kernels import fold
 from stcal.residuals.selection import star_departures
 
@@ -47,12 +48,17 @@ def test_the_factor_is_that_of_the_rows(data, stars, name, free, monkeypatch):
         np.testing.assert_allclose(signs[:, None] * factor / size, expected / size, atol=1e-11)
 
 
-def test_arcs_are_numbered_through_the_blocks(data, stars, monkeypatch):
-    whole = Residual().bind(stars, data.true.camera)
+def test_the_residual_has_the_arcs_of_the_metrics(data, stars, monkeypatch):
     monkeypatch.setattr(bound, "_EXPOSURES", 7)
-    blocks = Residual().bind(stars, data.true.camera)
-    for name in ("pair_i", "pair_j", "starts", "arc"):
-        assert np.array_equal(getattr(blocks, name), getattr(whole, name))
+    arcs, first = choose_arcs(stars), 0
+    for block in Residual().bind(stars, data.true.camera).blocks:
+        pair_i, pair_j, starts = arc_stars(block.ints)
+        mine = slice(first, first + len(pair_i))
+        assert np.array_equal(pair_i + block.first, arcs.pair_i[mine])
+        assert np.array_equal(pair_j + block.first, arcs.pair_j[mine])
+        assert np.array_equal(starts + first, arcs.starts[mine])
+        first += len(pair_i)
+    assert first == len(arcs)
 
 
 def test_reduction_is_bitwise_repeatable(data, stars):

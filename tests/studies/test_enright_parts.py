@@ -71,18 +71,18 @@ def test_the_true_camera_gives_no_pairs(sensor):
 def test_aggregate_takes_each_frame_with_its_own_estimate(sensor):
     simulated, matcher, fitted = sensor
     frames, camera = simulated.calibration.frames, fitted.camera
-    bound = pairs_of(match(frames, camera, fitted.c_sd, matcher), camera, matcher)
+    arcs = pairs_of(match(frames, camera, fitted.c_sd, matcher), matcher)
     same = np.tile(camera.parameters, (frames.n_frames, 1))
-    assert _aggregate(frames, bound, camera, same) == rms_urad(bound.departures(camera))
+    assert _aggregate(frames, arcs, camera, same) == rms_urad(arcs.departures(camera))
     random = np.random.default_rng(1)
     history = same * (1.0 + 1e-3 * random.normal(size=same.shape))
-    frame = frames.exposure_of_star[bound.selection.star[bound.pair_i]] // 2
+    frame = frames.exposure_of_star[arcs.selection.star[arcs.pair_i]] // 2
     by_frame = [
-        bound.departures(camera.with_parameters(history[k]))[frame == k]
+        arcs.departures(camera.with_parameters(history[k]))[frame == k]
         for k in range(frames.n_frames)
     ]
     expected = rms_urad(np.concatenate(by_frame))
-    assert _aggregate(frames, bound, camera, history) == pytest.approx(expected, rel=1e-12)
+    assert _aggregate(frames, arcs, camera, history) == pytest.approx(expected, rel=1e-12)
 
 
 def test_filters_are_the_papers_three(sensor):
@@ -102,10 +102,10 @@ def test_filters_are_the_papers_three(sensor):
     errors = tail_and_aggregate(frames, found, fitted.camera, matcher)
     for name in FILTERS:
         assert end[name]["lab"] == end[name]["batch"] == found.cameras[name].parameters.tolist()
-    bound = pairs_of(match(frames, fitted.camera, fitted.c_sd, matcher), fitted.camera, matcher)
-    last = rms_urad(bound.departures(found.cameras["no_q"]))
+    arcs = pairs_of(match(frames, fitted.camera, fitted.c_sd, matcher), matcher)
+    last = rms_urad(arcs.departures(found.cameras["no_q"]))
     assert errors["no_q"]["tail_urad"][-1] == pytest.approx(last, rel=1e-12)
-    assert errors["pairs"] == len(bound.arc)
+    assert errors["pairs"] == len(arcs)
 
 
 def test_radial_difference_is_that_of_the_model(st16_camera):

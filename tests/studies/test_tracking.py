@@ -283,16 +283,16 @@ def test_foresight_is_the_estimate_before(thermal: Followed) -> None:
 
 
 def test_squares_use_each_frames_own_camera(thermal: Followed) -> None:
-    bound, part = pairs_of_truth(thermal), thermal.simulation.calibration
-    squares, pairs = squares_by_frame(thermal, bound, part.truth.parameters)
+    arcs, part = pairs_of_truth(thermal), thermal.simulation.calibration
+    squares, pairs = squares_by_frame(thermal, arcs, part.truth.parameters)
     camera = thermal.simulation.true.camera
-    frame = part.frames.exposure_of_star[bound.selection.star[bound.pair_i]] // 2
+    frame = part.frames.exposure_of_star[arcs.selection.star[arcs.pair_i]] // 2
     for k in (3, 60, 119):
-        own = bound.departures(camera.with_parameters(part.truth.parameters[k]))[frame == k]
+        own = arcs.departures(camera.with_parameters(part.truth.parameters[k]))[frame == k]
         assert squares[k] == pytest.approx((own**2).sum(), rel=1e-9)
         assert pairs[k] == len(own) > 0
     constant = np.tile(camera.parameters, (part.frames.n_frames, 1))
-    assert squares_by_frame(thermal, bound, constant)[0].sum() > 1.2 * squares.sum()
+    assert squares_by_frame(thermal, arcs, constant)[0].sum() > 1.2 * squares.sum()
 
 
 def test_shortened_step_stays_in_the_middle() -> None:
