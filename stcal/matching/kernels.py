@@ -82,13 +82,15 @@ class Join(NamedTuple):
     """Scratch of the join.
 
     ``head`` (C,) starts each star's chain of pairs, ``chain`` (2 P, 2) holds the next link and the
-    star at the other end, ``joined`` (2 P,) the places in the pairs of the second window that meet
-    a chain; triads (T, 3) of detections with their cost (T,).
+    star at the other end, ``joined`` (2 P, 2) the places in the pairs of the second window that
+    meet a chain, with a link of it, ``triangles`` (2 P, 3) stars; triads (T, 3) of detections with
+    their cost (T,).
     """
 
     head: NDArray[np.int32]
     chain: NDArray[np.int32]
     joined: NDArray[np.int32]
+    triangles: NDArray[np.int32]
     triads: NDArray[np.int32]
     cost: NDArray[np.float64]
 
@@ -114,7 +116,8 @@ def make_work(catalogue_stars: int, largest_exposure: int, pairs: int, seeds: in
         Join(
             head=np.full(catalogue_stars, -1, np.int32),
             chain=np.empty((2 * pairs, 2), np.int32),
-            joined=np.empty(2 * pairs + 1, np.int32),
+            joined=np.empty((2 * pairs + 1, 2), np.int32),
+            triangles=np.empty((2 * pairs + 1, 3), np.int32),
             triads=np.empty((triads, 3), np.int32),
             cost=np.empty(triads),
         ),

@@ -34,8 +34,7 @@ def settle(s, c, observer, stars, rule, slots, star):
     ``star`` (N,) and ``c`` are left at the fixed point, the apparent places in ``slots.target``.
     """
     star[:] = -1
-    radius = min(_FIRST_RADIUS * rule.star_tolerance, stars.radius)
-    count, _ = _assign(s, c, radius, observer, stars, slots, star)
+    count, _ = _assign(s, c, _first_radius(rule, stars), observer, stars, slots, star)
     changed, rounds = True, 0
     while changed and count >= rule.minimum_matches and rounds < _ROUNDS:
         rounds += 1
@@ -47,6 +46,24 @@ def settle(s, c, observer, stars, rule, slots, star):
     if changed and count >= rule.minimum_matches:
         count = _tighten(s, c, rule, star, slots.target)
     return count if accept(count, s.shape[0], rule) else 0
+
+
+@kernel
+def _first_radius(rule, stars):
+    return min(_FIRST_RADIUS * rule.star_tolerance, stars.radius)
+
+
+@kernel
+def another_agrees(s, triad, c, observer, stars, rule):
+    """Return whether the first look-up finds a star for a detection that isn't in ``triad``."""
+    radius = _first_radius(rule, stars) + _MARGIN_RAD
+    for k in range(s.shape[0]):
+        if k != triad[0] and k != triad[1] and k != triad[2]:
+            x, y, z = rotated_back(c, s[k, 0], s[k, 1], s[k, 2])
+            x, y, z = geometric_from_apparent(x, y, z, observer)
+            if nearest_star(x, y, z, radius, stars) >= 0:
+                return True
+    return False
 
 
 @kernel

@@ -12,7 +12,7 @@ import numpy as np
 
 from stcal.jit import kernel
 from stcal.matching.seed_kernels import separation, two_vector_attitude
-from stcal.matching.settle_kernels import settle
+from stcal.matching.settle_kernels import another_agrees, settle
 from stcal.matching.verify_kernels import best_rotation, distance2
 
 # An exposure that its thirty best triads don't solve was not solved by 150 either.
@@ -118,40 +118,37 @@ def _unchain_pairs(i0, i1, pair, head):
 def _list_joined(j0, j1, pair, join):
     """List the places in a window's pairs, two a pair, whose star has a chain; returns how many.
 
-    Apart from the search, since a branch for each would mostly be mispredicted.
+    Each with the chain's first link.  Like :func:`_next_links` without branches, which would mostly
+    be mispredicted.
     """
     count = 0
     for p in range(j0, j1):
         for side in range(2):
-            join.joined[count] = 2 * p + side
-            count += join.head[pair[p, side]] >= 0
+            link = join.head[pair[p, side]]
+            join.joined[count, 0], join.joined[count, 1] = 2 * p + side, link
+            count += link >= 0
     return count
 
 
 @kernel
-def _next_triangle(place, link, count, shape, u, pair, join):
-    """Find the next catalogue triangle of the join; returns whether, and where to go on.
+def _next_links(count, middle2, half2, u, pair, join):
+    """Test the triangles of the first ``count`` places in ``join.joined`` with their link.
 
-    ``place`` goes through ``join.joined``, ``link`` through the chain of its star (-1: its head).
-    Returns (found, place, link, hub, near, far).
+    Lists (hub, near, far) of those whose third side is right, and keeps the places whose chain goes
+    on.  Returns the numbers of both.
     """
-    chain = join.chain
-    middle2, half2, volume, flat = shape
-    found, hub, near, far = False, 0, 0, 0
-    while place < count and not found:
-        p, side = join.joined[place] >> 1, join.joined[place] & 1
-        hub, far = pair[p, side], pair[p, 1 - side]
-        if link < 0:
-            link = join.head[hub]
-        while link >= 0 and not found:
-            link, near = chain[link, 0], chain[link, 1]
-            d2 = distance2(u[near, 0], u[near, 1], u[near, 2], u, far)
-            if abs(d2 - middle2) <= half2 and near != far:
-                mirror = _determinant(u[hub], u[near], u[far])
-                found = volume * mirror >= 0.0 or max(abs(volume), abs(mirror)) <= flat
-        if link < 0:
-            place += 1
-    return found, place, link, hub, near, far
+    joined, triangles, chain = join.joined, join.triangles, join.chain
+    found, left = 0, 0
+    for k in range(count):
+        place, link = joined[k, 0], joined[k, 1]
+        hub, far = pair[place >> 1, place & 1], pair[place >> 1, 1 - (place & 1)]
+        link, near = chain[link, 0], chain[link, 1]
+        d2 = distance2(u[near, 0], u[near, 1], u[near, 2], u, far)
+        triangles[found, 0], triangles[found, 1], triangles[found, 2] = hub, near, far
+        found += (abs(d2 - middle2) <= half2) & (near != far)
+        joined[left, 0], joined[left, 1] = place, link
+        left += link >= 0
+    return found, left
 
 
 @kernel
@@ -177,9 +174,27 @@ def _sum_of_products(s, i, j, k, axis, u, a, b, c):
 
 
 @kernel
-def _try_triad(s, pivot, first, second, arcs, observer, sky, rule, work, star, c):
+def _try_triangle(s, triad, shape, hub, near, far, observer, sky, rule, work, star, c):
+    """Settle from one catalogue triangle; returns the number of matches, 0 when refused.
+
+    ``shape`` holds the triad's volume, and below which the handedness can't be told.
+    """
+    u, (volume, flat) = sky.stars.direction, shape
+    mirror = _determinant(u[hub], u[near], u[far])
+    if volume * mirror < 0.0 and max(abs(volume), abs(mirror)) > flat:
+        return 0
+    if not _triad_attitude(s, triad[0], triad[1], triad[2], u, hub, near, far, c):
+        return 0
+    # Most triangles are chance, and no further star agrees with them: the check would refuse them.
+    if rule.minimum_matches > 3 and not another_agrees(s, triad, c, observer, sky.stars, rule):
+        return 0
+    return settle(s, c, observer, sky.stars, rule, work.slots, star)
+
+
+@kernel
+def _try_triad(s, triad, arcs, observer, sky, rule, work, star, c):
     """Join the two pair windows of a triad over the pivot; settle the first that passes."""
-    tolerance, u, pair = rule.pair_tolerance, sky.stars.direction, sky.pairs.pair
+    tolerance, u, pair, join = rule.pair_tolerance, sky.stars.direction, sky.pairs.pair, work.join
     i0, i1 = _window(arcs[0] - tolerance, arcs[0] + tolerance, sky.pairs)
     j0, j1 = _window(arcs[1] - tolerance, arcs[1] + tolerance, sky.pairs)
     low = 2.0 * math.sin(0.5 * max(arcs[2] - tolerance, 0.0))
@@ -187,17 +202,19 @@ def _try_triad(s, pivot, first, second, arcs, observer, sky, rule, work, star, c
     middle2, half2 = 0.5 * (high * high + low * low), 0.5 * (high * high - low * low)
     # Flatter than the tolerance, the handedness can't be told.
     flat = tolerance * max(arcs[0], arcs[1], arcs[2])
-    shape = middle2, half2, _determinant(s[pivot], s[first], s[second]), flat
-    _chain_pairs(i0, i1, pair, work.join)
-    count = _list_joined(j0, j1, pair, work.join)
-    matches, place, link, found = 0, 0, -1, True
-    while found and matches == 0:
-        found, place, link, hub, near, far = _next_triangle(
-            place, link, count, shape, u, pair, work.join
-        )
-        if found and _triad_attitude(s, pivot, first, second, u, hub, near, far, c):
-            matches = settle(s, c, observer, sky.stars, rule, work.slots, star)
-    _unchain_pairs(i0, i1, pair, work.join.head)
+    shape = _determinant(s[triad[0]], s[triad[1]], s[triad[2]]), flat
+    _chain_pairs(i0, i1, pair, join)
+    left, matches = _list_joined(j0, j1, pair, join), 0
+    while left > 0 and matches == 0:
+        found, left = _next_links(left, middle2, half2, u, pair, join)
+        for k in range(found):
+            hub, near, far = join.triangles[k, 0], join.triangles[k, 1], join.triangles[k, 2]
+            matches = _try_triangle(
+                s, triad, shape, hub, near, far, observer, sky, rule, work, star, c
+            )  # fmt: skip
+            if matches > 0:
+                break
+    _unchain_pairs(i0, i1, pair, join.head)
     return matches
 
 
@@ -216,7 +233,7 @@ def solve_lost_in_space(s, order, observer, sky, rule, work, star, c):
         cost[t] = math.inf
         x, y, z = _from_pivot(triads[t, 0], triads[t, 1], triads[t, 2], arc)
         found = _try_triad(
-            s, order[x], order[y], order[z], (arc[x, y], arc[x, z], arc[y, z]),
+            s, (order[x], order[y], order[z]), (arc[x, y], arc[x, z], arc[y, z]),
             observer, sky, rule, work, star, c,
         )  # fmt: skip
         t = _cheapest(cost, count)
