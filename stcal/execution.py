@@ -47,8 +47,13 @@ def serial(function: Callable[[T], U], items: Iterable[T]) -> Iterator[U]:
 
 
 @contextmanager
-def scheduler(workers: int, name: str = "threads") -> Iterator[OrderedMap]:
+def scheduler(
+    workers: int, name: str = "threads", largest_batch: int = _LARGEST_BATCH
+) -> Iterator[OrderedMap]:
     """Give an ordered map: a name in SCHEDULERS, or the address of a Dask scheduler.
+
+    A cluster is handed items in batches of at most ``largest_batch``: 1 where an item may take
+    far longer than those before it.
 
     Raises
     ------
@@ -63,7 +68,7 @@ def scheduler(workers: int, name: str = "threads") -> Iterator[OrderedMap]:
         known = ", ".join(SCHEDULERS)
         raise UsageError(f"no scheduler {name!r}; known: {known}, or an address such as tcp://…")
     make = SCHEDULERS.get(name)
-    opened = _dask(name) if make is None else make(workers)
+    opened = _dask(name, largest_batch) if make is None else make(workers)
     with opened as mapper:
         yield mapper
 
@@ -127,7 +132,7 @@ def _over(pool: Executor, workers: int) -> OrderedMap:
 
 
 @contextmanager
-def _dask(address: str) -> Iterator[OrderedMap]:
+def _dask(address: str, largest_batch: int) -> Iterator[OrderedMap]:
     try:
         from distributed import Client
     except ImportError:
@@ -141,10 +146,10 @@ def _dask(address: str) -> Iterator[OrderedMap]:
     except (OSError, ValueError, TimeoutError) as error:
         raise InputError(f"scheduler {address}: no answer: {error}") from None
     with client:
-        yield _on_cluster(client)
+        yield _on_cluster(client, largest_batch)
 
 
-def _on_cluster(client: Any) -> OrderedMap:
+def _on_cluster(client: Any, largest_batch: int) -> OrderedMap:
     """Map over a cluster's workers; items are batched by the time that those before them took."""
 
     def mapped(function: Callable[[T], U], items: Iterable[T]) -> Iterator[U]:
@@ -157,7 +162,7 @@ def _on_cluster(client: Any) -> OrderedMap:
             if not pending:
                 return
             seconds, results = _gathered(pending.popleft())
-            size = max(1, min(_LARGEST_BATCH, round(_TASK_S * len(results) / max(seconds, 1e-3))))
+            size = max(1, min(largest_batch, round(_TASK_S * len(results) / max(seconds, 1e-3))))
             yield from results
 
     return mapped

@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from stcal.cli.inputs import JSON
-from stcal.cli.output import emit, progress, write_documents
+from stcal.cli.inputs import JSON, SCHEDULER
+from stcal.cli.output import emit, progress, watched, write_documents
 from stcal.cli.paths import own_folder
 
 if TYPE_CHECKING:
     from rich.console import Console
-
-    from stcal.operations.record import Outcome
 
 DOCUMENT, INDEX = "recalibration.json", "index.html"
 
@@ -28,9 +26,12 @@ DOCUMENT, INDEX = "recalibration.json", "index.html"
     show_default=True,
     help="Sensors at the same time. The result is the same.",
 )
+@SCHEDULER
 @JSON
 @click.pass_context
-def command(context: click.Context, plan: Path, workers: int, as_json: bool) -> None:
+def command(
+    context: click.Context, plan: Path, workers: int, scheduler_name: str, as_json: bool
+) -> None:
     """Ingest, fit, validate and build the uploads of all sensors that PLAN.toml lists.
 
     A sensor that fails or is refused doesn't stop the others.  Run again, it goes on where it
@@ -39,20 +40,16 @@ def command(context: click.Context, plan: Path, workers: int, as_json: bool) -> 
     """
     from stcal.execution import scheduler
     from stcal.operations.plan import load_plan
-    from stcal.operations.run import STEPS_PER_SENSOR, Runner, recalibrate
+    from stcal.operations.run import recalibrate
     from stcal.operations.summary import fleet_document
 
     file = load_plan(plan)
     file.sources()  # a name that finds nothing is told before the work
     own_folder(file.out)
-    total = 1 + STEPS_PER_SENSOR * len(file.plan.sensors)
-    with scheduler(workers) as mapper, progress("recalibrate", total=total) as bar:
-
-        def on_step(sensor: str, outcome: Outcome) -> None:
-            bar.describe(f"recalibrate {sensor} {outcome.name}")
-            bar.advance()
-
-        run = recalibrate(file, mapper, Runner(), on_step)
+    # One sensor's work is long, or all done before: none waits behind another's in a batch.
+    opened = scheduler(workers, scheduler_name, largest_batch=1)
+    with opened as mapper, progress("recalibrate") as bar:
+        run = recalibrate(file, watched(mapper, bar))
     document = fleet_document(file, run)
     write_documents(document, file.out / DOCUMENT, file.out / INDEX)
     emit(document, as_json, lambda console: _table(document, file.out, console))

@@ -110,13 +110,13 @@ class Plan(_Section):
 
 @dataclass(frozen=True)
 class PlanFile:
-    """A plan and where it was read from."""
+    """A plan and where it was read from: an absolute path, as workers may run elsewhere."""
 
     path: Path
     plan: Plan
 
     def resolve(self, name: str) -> Path:
-        """Return a path of the plan: absolute, or relative to the plan's folder."""
+        """Return an absolute path: of the plan, or relative to the plan's folder."""
         return self.path.parent / name
 
     @property
@@ -164,6 +164,6 @@ def load_plan(path: Path) -> PlanFile:
     """
     document = read_toml(path)
     try:
-        return PlanFile(path, Plan.model_validate(document))
+        return PlanFile(path.absolute(), Plan.model_validate(document))
     except ValidationError as error:
         raise ConfigError(f"{path}:\n" + "\n".join(error_lines(error))) from None

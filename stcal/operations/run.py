@@ -1,18 +1,25 @@
-"""Run a plan: each step a process of its own, so that one failing sensor leaves the others."""
+"""Run a plan: sensors by an ordered map, each step a process of its own.
+
+A process can be stopped at any moment, whichever thread, process or machine waits for it; its
+crash and its memory are no other sensor's; and what it prints is its own.
+"""
 
 from __future__ import annotations
 
+import errno
 import json
+import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from threading import Event
+from tempfile import NamedTemporaryFile
 from typing import Any
 
-from stcal.atomic import write_text
+from stcal.atomic import TEMPORARY_PREFIX, write_text
 from stcal.errors import InputError
 from stcal.execution import OrderedMap
 from stcal.operations import record
@@ -20,13 +27,9 @@ from stcal.operations.plan import PlanFile, Sensor
 from stcal.operations.record import Outcome
 from stcal.operations.steps import Step, ingest_step, report_arguments, sensor_steps
 
-STEPS_PER_SENSOR = 3
 INTERRUPTED = 130
 # The worse one of two exit codes stands later.
 _BY_SEVERITY = (0, 5, 4, 3, 2, 1, INTERRUPTED)
-
-# Told after each step: the sensor ("" for the ingest) and how the step ended.
-OnStep = Callable[[str, Outcome], None]
 
 
 @dataclass(frozen=True)
@@ -71,14 +74,34 @@ def worst(codes: Any) -> int:
     return max(known, key=_BY_SEVERITY.index, default=0)
 
 
-@dataclass
+@dataclass(frozen=True)
 class Runner:
-    """Runs steps as processes and can stop them."""
+    """Runs steps as processes, on whichever worker, and stops them with the run.
 
-    stopped: Event = field(default_factory=Event)
+    Attributes
+    ----------
+    mark : file that stands while the run goes on, the one sign that threads, processes and
+        machines all see: when it is gone, steps are ended and none begins
+    """
+
+    mark: Path | None = None
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the run has ended."""
+        if self.mark is None:
+            return False
+        try:
+            # A network file system may answer from memory whether a file exists, but opens it.
+            self.mark.open("rb").close()
+        except OSError as error:
+            return error.errno in (errno.ENOENT, errno.ESTALE)
+        return False
 
     def step(self, step: Step) -> Outcome:
         """Run a step, or recall that it was done; its log and record go to its folder."""
+        if self.stopped:
+            return Outcome(step.name, INTERRUPTED, "interrupted", 0.0)
         key = record.key_of(step)
         done = record.recall(step, key)
         if done is not None:
@@ -91,8 +114,6 @@ class Runner:
         return outcome
 
     def _run(self, step: Step) -> Outcome:
-        if self.stopped.is_set():
-            return Outcome(step.name, INTERRUPTED, "interrupted", 0.0)
         start = time.monotonic()
         code, printed, told = self.command(step.arguments)
         seconds = round(time.monotonic() - start, 2)
@@ -114,55 +135,47 @@ class Runner:
                     printed, told = process.communicate(timeout=0.2)
                     break
                 except subprocess.TimeoutExpired:
-                    if self.stopped.is_set():
+                    if self.stopped:
+                        # Told once: a second signal would disturb its clearing up.
                         process.terminate()
+                        printed, told = process.communicate()
+                        break
                 except KeyboardInterrupt:
                     process.terminate()
+                    process.wait()
                     raise
-        # A step that a signal ended was interrupted with the run, or killed by the machine.
-        code = process.returncode
-        return (INTERRUPTED if code < 0 and self.stopped.is_set() else code), printed, told
+        # Signalled before it could tell; the machine's kill, for want of memory, is another.
+        early = process.returncode in (-signal.SIGINT, -signal.SIGTERM)
+        return (INTERRUPTED if early else process.returncode), printed, told
 
 
-def recalibrate(
-    file: PlanFile,
-    mapper: OrderedMap,
-    runner: Runner,
-    on_step: OnStep = lambda sensor, outcome: None,
-) -> FleetRun:
+def recalibrate(file: PlanFile, mapper: OrderedMap, runner: Runner | None = None) -> FleetRun:
     """Run the plan: ingest, then each sensor's fit, validation and build.
 
     A sensor's step that fails or is refused ends that sensor's work and nobody else's.  What an
-    earlier run of the same plan did on the same content isn't done again.
+    earlier run of the same plan did on the same content isn't done again.  The folder of the
+    results is to be held by :func:`stcal.atomic.locked`, which removes a killed run's mark.
 
     Raises
     ------
     KeyboardInterrupt
-        After all running steps have been stopped; what was done stays done.
+        The running steps are stopped as soon as their workers see it, at the latest when the map
+        is closed; those of a cluster a moment later.  What was done stays done.
     """
-    first = ingest_step(file)
-    outcome = None
-    if first is not None:
-        outcome = runner.step(first)
-        on_step("", outcome)
-
-    def one(sensor: Sensor) -> SensorRun:
-        return _one_sensor(file, sensor, runner, on_step)
-
-    try:
-        runs = tuple(mapper(one, file.plan.sensors))
-    except KeyboardInterrupt:
-        runner.stopped.set()
-        raise
+    file.out.mkdir(parents=True, exist_ok=True)
+    with NamedTemporaryFile(prefix=f"{TEMPORARY_PREFIX}running-", dir=file.out) as mark:
+        runner = replace(runner or Runner(), mark=Path(mark.name))
+        first = ingest_step(file)
+        outcome = None if first is None else runner.step(first)
+        runs = tuple(mapper(partial(_one_sensor, file, runner), file.plan.sensors))
     return FleetRun(outcome, runs)
 
 
-def _one_sensor(file: PlanFile, sensor: Sensor, runner: Runner, on_step: OnStep) -> SensorRun:
+def _one_sensor(file: PlanFile, runner: Runner, sensor: Sensor) -> SensorRun:
     outcomes: list[Outcome] = []
     try:
         for step in sensor_steps(file, sensor):
             outcomes.append(runner.step(step))
-            on_step(sensor.sensor_id, outcomes[-1])
             if not outcomes[-1].succeeded:
                 break
     except InputError as error:
@@ -182,7 +195,7 @@ def _report(folder: Path, outcomes: Sequence[Outcome], runner: Runner) -> None:
     if "fit" not in done or "validate" not in done:
         return
     old = done["fit"].again and done["validate"].again and (folder / "report.html").exists()
-    if not old and not runner.stopped.is_set():
+    if not old and not runner.stopped:
         runner.command(report_arguments(folder))
 
 

@@ -1,17 +1,12 @@
 """A fleet's recalibration: the plan, what is done again and what isn't, and who goes on."""
 
 import json
-import os
 import re
 import shutil
-import signal
-import subprocess
-import sys
-import time
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
-from conftest import ROOT
 
 from stcal.cli import main
 from stcal.errors import ConfigError
@@ -48,12 +43,12 @@ def write_plan(folder, names=("A-1", "A-2"), text=PLAN):
     return path
 
 
+@dataclass(frozen=True)
 class Pretended(Runner):
     """Commands that only write their outputs and end with a given code."""
 
-    def __init__(self, codes=()):
-        super().__init__()
-        self.codes, self.called = dict(codes), []
+    codes: dict = field(default_factory=dict)
+    called: list = field(default_factory=list)
 
     def command(self, arguments):
         name = arguments[1] if arguments[0] == "uplink" else arguments[0]
@@ -102,7 +97,7 @@ def test_every_sensor_goes_through_all_steps_in_order(tmp_path):
     ],
 )
 def test_good_sensors_go_on_and_the_worst_code_is_told(tmp_path, workers, codes, states, code):
-    runner = Pretended(codes)
+    runner = Pretended(codes=codes)
     with scheduler(workers) as mapper:
         found = run(write_plan(tmp_path, ("A-1", "A-2", "A-3")), runner, mapper)
     assert [one.state for one in found.sensors] == states
@@ -162,8 +157,8 @@ def test_what_changed_is_done_again(tmp_path, change, redone):
 def test_a_failure_is_tried_again_and_a_refusal_is_not(tmp_path):
     path = write_plan(tmp_path)
     codes = {("A-1", "fit"): 3, ("A-2", "validate"): 4}
-    run(path, Pretended(codes))
-    again = Pretended(codes)
+    run(path, Pretended(codes=codes))
+    again = Pretended(codes=codes)
     found = run(path, again)
     assert ("A-1", "fit") in again.called
     assert ("A-2", "validate") not in again.called
@@ -242,79 +237,3 @@ def test_a_source_that_is_not_there_is_told_before_the_work(tmp_path, capsys):
     assert main(["recalibrate", str(path), "--json"]) == 3
     assert "'downlink/*.csv' finds no file" in json.loads(capsys.readouterr().out)["error"]
     assert not (tmp_path / "out").exists()
-
-
-@pytest.fixture(scope="module")
-def fleet(tmp_path_factory):
-    """A plan of two simulated sensors with few frames, and one that has no telemetry."""
-    folder = tmp_path_factory.mktemp("fleet")
-    for number in (4, 5):
-        text = (ROOT / "configs" / "scenarios" / f"st16-{number}.toml").read_text()
-        text = text.replace("../", f"{ROOT}/configs/")
-        text = re.sub(r"frames = (400|150)", lambda m: f"frames = {int(m[1]) * 2 // 5}", text)
-        (folder / "scenario.toml").write_text(text)
-        arguments = ["simulate", str(folder / "scenario.toml"), "--out", str(folder), "--json"]
-        assert main(arguments) == 0
-    (folder / "plan.toml").write_text(
-        'schema = "stcal.recalibration/1"\nstore = "store"\nout = "out"\n'
-        f'configs = ["{ROOT}/configs/st16.toml"]\nsources = ["*.csv.gz"]\n'
-        + "".join(
-            f'[[sensors]]\nsensor_id = "ST16-{n}"\nonboard = "ST16-{m}.initial.json"\n'
-            f'fit = {{ to = "{day}" }}\nvalidate = {{ from = "{day}" }}\n'
-            for n, m, day in (
-                (4, 4, "2014-09-04"),
-                (5, 5, "2014-07-21T05:00:00Z"),
-                (9, 4, "2014-09-04"),
-            )
-        )
-    )
-    return folder
-
-
-def test_the_command_builds_the_good_sensors_uploads(fleet, capsys):
-    capsys.readouterr()
-    code = main(["recalibrate", str(fleet / "plan.toml"), "--json"])
-    document = json.loads(capsys.readouterr().out)
-    states = {item["sensor_id"]: item["state"] for item in document["sensors"]}
-    assert states["ST16-9"] == "failed"
-    assert states["ST16-4"] == states["ST16-5"] == "built", document["sensors"]
-    assert code == document["exit_code"] == 3
-    first = document["sensors"][0]
-    assert first["common_pair_rms_urad"]["candidate"] < first["common_pair_rms_urad"]["baseline"]
-    upload = fleet / "out" / first["upload"]
-    assert any(upload.iterdir())
-    index = (fleet / "out" / "index.html").read_text()
-    assert 'href="ST16-4/report.html"' in index
-    assert "no frames of sensor" in index
-    before = {p: p.stat().st_mtime_ns for p in upload.rglob("*")}
-    assert main(["recalibrate", str(fleet / "plan.toml"), "--json"]) == 3
-    again = json.loads(capsys.readouterr().out)
-    assert all(step["again"] for step in again["sensors"][0]["steps"])
-    assert {p: p.stat().st_mtime_ns for p in upload.rglob("*")} == before
-
-
-def test_an_interrupted_run_goes_on_to_the_same_end(fleet, tmp_path):
-    """SIGINT while the first fit runs: exit code 130; then the rest is done."""
-    for path in fleet.iterdir():
-        if path.is_file():
-            shutil.copy(path, tmp_path)
-    command = [sys.executable, "-m", "stcal", "recalibrate", str(tmp_path / "plan.toml"), "--json"]
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment,
-        start_new_session=True,
-    ) as process:  # fmt: skip
-        deadline = time.monotonic() + 60
-        while not (tmp_path / "out" / "ingest.step.json").exists():
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
-        time.sleep(0.5)
-        os.killpg(process.pid, signal.SIGINT)
-        process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert not (tmp_path / "out" / "ST16-4" / "fit.step.json").exists()
-    assert main(["recalibrate", str(tmp_path / "plan.toml"), "--json"]) == 3
-    for name in ("fit/calibration.json",):
-        ours = json.loads((tmp_path / "out" / "ST16-4" / name).read_text())
-        theirs = json.loads((fleet / "out" / "ST16-4" / name).read_text())
-        assert ours["camera"] == theirs["camera"]
