@@ -205,14 +205,16 @@ def test_hollow_and_junk_still_render() -> None:
     assert "The filter" in page.body
     assert "None" not in page.body
     assert "nan" not in " ".join(page.body).lower().split()
+    found, rest = document["sequential"], hollow(document)
     for junk in (None, "text", 3, True, [1, "x", None], {"a": [{}]}, [[[]]], -1e308):
-        found = document["sequential"]
         for key in found:
-            Page(render_fit(document | {"sequential": found | {key: junk}}))
+            # Figures take most of the time, and of these they know only the number of frames.
+            drawn = {} if key == "frames" else {"history": None}
+            Page(render_fit(rest | {"sequential": found | drawn | {key: junk}}))
         history = dict.fromkeys(found["history"], junk)
-        Page(render_fit(document | {"sequential": found | {"history": history}}))
+        Page(render_fit(rest | {"sequential": found | {"history": history}}))
         inner = {k: dict.fromkeys(v, junk) for k, v in found.items() if isinstance(v, dict)}
-        Page(render_fit(document | {"sequential": found | inner}))
+        Page(render_fit(rest | {"sequential": found | inner}))
         events = [dict.fromkeys(("frame_id", "time_utc", "event"), junk)]
         printed(document | {"sequential": found | inner | {"events": events}})
 

@@ -16,8 +16,8 @@ from stcal.telemetry.content import frame_digests
 from stcal.telemetry.store import Store
 
 WINDOW = 100
-# A dozen by default; STCAL_KILLS=200 for the long form.
-KILLS = int(os.environ.get("STCAL_KILLS", "12"))
+# A few by default, as all replacements are gone through below; STCAL_KILLS=200 for the long form.
+KILLS = int(os.environ.get("STCAL_KILLS", "6"))
 # Everything that writes to a store: downloads, a foreign table, and records tried again.
 CODE = f"""
 import sys
