@@ -2,11 +2,12 @@ import math
 import os
 import threading
 import time
+from concurrent.futures import Future
 
 import pytest
 
 from stcal.errors import InputError, UsageError, WorkerError
-from stcal.execution import SCHEDULERS, scheduler, serial
+from stcal.execution import SCHEDULERS, _on_cluster, scheduler, serial
 
 
 @pytest.mark.parametrize("workers", [1, 2, 5])
@@ -64,3 +65,28 @@ def test_unknown_schedulers_are_refused():
         pass
     with pytest.raises(InputError, match="no answer"), scheduler(2, "nonsense://127.0.0.1:1"):
         pass
+
+
+@pytest.mark.parametrize(("largest", "sizes"), [(1, {1}), (20, {1, 20})])
+def test_a_cluster_is_handed_batches_of_a_largest_size(largest, sizes):
+    pytest.importorskip("distributed")
+
+    class Cluster:
+        """Does everything at once, and notes the sizes of the tasks."""
+
+        def __init__(self):
+            self.sizes = set()
+
+        def nthreads(self):
+            return {"tcp://worker": 1}
+
+        def submit(self, timed, function, batch, **options):
+            self.sizes.add(len(batch))
+            done = Future()
+            done.set_result(timed(function, batch))
+            return done
+
+    client = Cluster()
+    items = range(3 + 5 * 20)
+    assert list(_on_cluster(client, largest)(abs, items)) == list(items)
+    assert client.sizes == sizes
