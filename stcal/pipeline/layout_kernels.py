@@ -130,6 +130,7 @@ class History(NamedTuple):
 
 _FLAGS, _BYTES, _NUMBERS = boolean[::1], int8[::1], int64[::1]
 _COLUMN, _TABLE, _CUBE, _STARS = float64[::1], float64[:, ::1], float64[:, :, ::1], int32[::1]
+_LISTS = int32[:, ::1]
 
 
 def _named(kind, *fields):
@@ -155,13 +156,13 @@ PASS_SIGNATURE = void(
     _named(
         Sky,
         _named(StarMap, _TABLE, _TABLE, _STARS, _STARS, int64, float64),
-        _named(PairTable, float32[::1], int32[:, ::1], _STARS, float64, float64),
+        _named(PairTable, float32[::1], _LISTS, _STARS, float64, float64),
     ),
     _named(Rule, *[float64] * 4, int64, int64, *[float64] * 3),
     _named(
         Work,
         _named(Slots, _TABLE, _COLUMN, _STARS, _STARS, _STARS),
-        _named(Join, _STARS, int32[:, ::1], _STARS, int32[:, ::1], _COLUMN),
+        _named(Join, _STARS, *[_LISTS] * 4, _COLUMN),
     ),
     _named(
         State, _COLUMN, _TABLE, _COLUMN, _TABLE, _COLUMN, _TABLE, _COLUMN, _COLUMN, _COLUMN, _TABLE
