@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from stcal.execution import OrderedMap
     from stcal.frames import FrameBatch
     from stcal.matching import Matcher
-    from stcal.telemetry.store import Fragment, Store
+    from stcal.telemetry.fragments import Fragment
+    from stcal.telemetry.store import Store
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -157,7 +158,8 @@ def read_inputs(selection: Selection, mapper: OrderedMap | None = None) -> Input
     from stcal.execution import serial
     from stcal.matching import Matcher
     from stcal.pipeline.describe import span_of
-    from stcal.telemetry.store import Store, fragments_sha256
+    from stcal.telemetry.fragments import fragments_sha256
+    from stcal.telemetry.store import Store
     from stcal.version import __version__
 
     limits = parse_time(selection.start, "--from"), parse_time(selection.stop, "--to")
