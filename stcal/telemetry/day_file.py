@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -15,6 +14,7 @@ import pyarrow.parquet as pq
 from stcal.errors import InputError
 from stcal.frames import FrameBatch, Ints
 from stcal.telemetry import parquet
+from stcal.telemetry.places import Place
 from stcal.telemetry.schema import (
     StoredFrames,
     batch_from_table,
@@ -27,12 +27,12 @@ PREFIX = "day="
 _REMEDY = "; move it away and ingest its files again"
 
 
-def day_of(path: Path) -> str:
+def day_of(path: Place) -> str:
     """Return the UTC day that a file is of, as its folder names it."""
     return path.parent.name.removeprefix(PREFIX)
 
 
-def read_times(path: Path) -> Ints:
+def read_times(path: Place) -> Ints:
     """Return the times of all frames of a day (F,), TAI ns.
 
     Raises
@@ -46,7 +46,7 @@ def read_times(path: Path) -> Ints:
     return times
 
 
-def read_stored(path: Path, sensor_id: str) -> StoredFrames:
+def read_stored(path: Place, sensor_id: str) -> StoredFrames:
     """Return all frames of a day with their sources; raises as :func:`read_times`."""
     with _reading(path) as file:
         table = file.read()
@@ -55,7 +55,7 @@ def read_stored(path: Path, sensor_id: str) -> StoredFrames:
         return stored_from_table(table, sensor_id)
 
 
-def read_rows(path: Path, sensor_id: str, first: int, stop: int, file_frames: int) -> FrameBatch:
+def read_rows(path: Place, sensor_id: str, first: int, stop: int, file_frames: int) -> FrameBatch:
     """Return the frames [first, stop) of a day that had ``file_frames`` when they were chosen.
 
     Raises
@@ -81,14 +81,14 @@ def _row_groups(file: pq.ParquetFile, first: int, stop: int) -> tuple[list[int],
 
 
 @contextmanager
-def _reading(path: Path) -> Iterator[pq.ParquetFile]:
+def _reading(path: Place) -> Iterator[pq.ParquetFile]:
     with parquet.reading(path, "fragment", _REMEDY) as file:
         check_version(file.schema_arrow, str(path))
         yield file
 
 
 @contextmanager
-def _decoding(path: Path) -> Iterator[None]:
+def _decoding(path: Place) -> Iterator[None]:
     """Name the file whose content turns out not to be what ingest writes."""
     try:
         yield
@@ -96,7 +96,7 @@ def _decoding(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: damaged fragment: {error}{_REMEDY}") from None
 
 
-def _check_order(path: Path, times: Ints) -> None:
+def _check_order(path: Place, times: Ints) -> None:
     """Refuse a file that is not in time order: time ranges are found by bisection."""
     if np.any(times[1:] < times[:-1]):
         raise InputError(f"{path}: damaged fragment: not in the order of time{_REMEDY}")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby, pairwise
-from pathlib import Path
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from stcal.execution import OrderedMap, serial
 from stcal.frames import FrameBatch, Ints
 from stcal.telemetry.content import combined_sha256, day_digests
 from stcal.telemetry.day_file import day_of, read_rows
+from stcal.telemetry.places import Place
 
 # A fragment's frames: enough that a pass over it costs more than its start, few enough that some
 # fit in memory together.
@@ -27,7 +27,7 @@ class Fragment:
     ``first`` and ``n_frames`` count in the file, which had ``file_frames`` frames.
     """
 
-    path: Path
+    path: Place
     sensor_id: str
     day: str
     first: int
@@ -50,7 +50,7 @@ class DayTimes:
     first, stop : the selected ones
     """
 
-    path: Path
+    path: Place
     times: Ints
     first: int
     stop: int

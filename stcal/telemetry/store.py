@@ -20,6 +20,7 @@ from stcal.telemetry import day_file, parquet, quarantine, store_lock, store_mar
 from stcal.telemetry.fragments import DayTimes, Fragment, cut, fragments_sha256, read_fragment
 from stcal.telemetry.merge import Merge, merge
 from stcal.telemetry.names import sensor_folder
+from stcal.telemetry.places import Place, listed, local_folder
 from stcal.telemetry.quarantine import LostVersion
 from stcal.telemetry.schema import StoredFrames, table_from_stored
 from stcal.times import format_utc, parse_utc
@@ -32,34 +33,40 @@ _DAY_NS = 86_400 * 1_000_000_000
 
 @dataclass(frozen=True)
 class Store:
-    """A store of telemetry on disk."""
+    """A store of telemetry: in a folder, or at a URL for reading only."""
 
-    root: Path
+    root: Place
 
     @staticmethod
-    def open(path: Path, create: bool = False) -> Store:
+    def open(path: Place, create: bool = False) -> Store:
         """Open a store, or make an empty one where there is none and ``create`` is set.
 
         Raises
         ------
         InputError
-            There is none, the folder holds something else, or a newer stcal wrote it.
+            There is none, the folder holds something else, a newer stcal wrote it, or it is to be
+            made at a URL.
         """
-        if create and not store_marker.is_there(path):
-            store_marker.create(path)
+        if create and not store_marker.is_there(local_folder(path)):
+            store_marker.create(local_folder(path))
         store_marker.check(path)
         return Store(path)
 
+    @property
+    def folder(self) -> Path:
+        """The folder of a store that is to be written; raises InputError at a URL."""
+        return local_folder(self.root)
+
     def sensors(self) -> list[str]:
         """Return the sensors that the store has frames of, sorted."""
-        folders = (self.root / FRAMES).glob("sensor=*")
+        folders = listed(self.root / FRAMES, "sensor=*")
         # A writer that was killed may have left a day's folder without its file.
         filled = (f.name for f in folders if any(f.glob(_FILES)))
         return sorted(unquote(name.removeprefix("sensor=")) for name in filled)
 
     def files(self, sensor_id: str) -> list[Path]:
-        """Return the files with frames of a sensor, by day; none when there are none."""
-        return self._days(sensor_id)
+        """Return a folder's files with frames of a sensor, by day; none when there are none."""
+        return [local_folder(path) for path in self._days(sensor_id)]
 
     def fragments(
         self,
@@ -116,7 +123,7 @@ class Store:
     def read_lost(self, sensor_id: str, day: str) -> list[LostVersion]:
         """Return the displaced versions of one sensor and UTC day."""
         return quarantine.read_conflicts(
-            quarantine.conflicts_path(self.root, sensor_folder(sensor_id), day)
+            quarantine.conflicts_path(self.folder, sensor_folder(sensor_id), day)
         )
 
     def merge_day(self, day: str, incoming: StoredFrames) -> Merge:
@@ -138,9 +145,9 @@ class Store:
 
         The displaced versions are on disk before the day that no longer has them.
         """
-        store_lock.check_there(self.root)
+        store_lock.check_there(self.folder)
         if set(after[1]) != set(before[1]):
-            conflicts = quarantine.conflicts_path(self.root, sensor_folder(sensor_id), day)
+            conflicts = quarantine.conflicts_path(self.folder, sensor_folder(sensor_id), day)
             quarantine.write_conflicts(conflicts, after[1])
         table = table_from_stored(after[0])
         if before[0] is None or not table.equals(table_from_stored(before[0])):
@@ -148,16 +155,14 @@ class Store:
 
     def lock(self) -> AbstractContextManager[None]:
         """Hold the store for writing; raises as :func:`stcal.telemetry.store_lock.held`."""
-        return store_lock.held(self.root)
-
-    def _folder(self, sensor_id: str) -> Path:
-        return self.root / FRAMES / sensor_folder(sensor_id)
+        return store_lock.held(self.folder)
 
     def _day(self, sensor_id: str, day: str) -> Path:
-        return self._folder(sensor_id) / f"{day_file.PREFIX}{day}" / day_file.NAME
+        days = self.folder / FRAMES / sensor_folder(sensor_id)
+        return days / f"{day_file.PREFIX}{day}" / day_file.NAME
 
-    def _days(self, sensor_id: str) -> list[Path]:
-        return sorted(self._folder(sensor_id).glob(_FILES))
+    def _days(self, sensor_id: str) -> list[Place]:
+        return listed(self.root / FRAMES / sensor_folder(sensor_id), _FILES)
 
     def _nothing(self, sensor_id: str, start: int | None, stop: int | None) -> str:
         days = self._days(sensor_id)
@@ -172,14 +177,14 @@ class Store:
         )
 
 
-def _within(path: Path, times: Ints, start: int | None, stop: int | None) -> DayTimes:
+def _within(path: Place, times: Ints, start: int | None, stop: int | None) -> DayTimes:
     """Select the frames with start <= t < stop."""
     first = 0 if start is None else int(np.searchsorted(times, start))
     end = len(times) if stop is None else int(np.searchsorted(times, stop))
     return DayTimes(path, times, first, end)
 
 
-def _may_overlap(path: Path, start: int | None, stop: int | None) -> bool:
+def _may_overlap(path: Place, start: int | None, stop: int | None) -> bool:
     """Whether a day's folder can hold frames of [start, stop); spares opening the others."""
     day = day_file.day_of(path)
     try:

@@ -10,13 +10,14 @@ from stcal import atomic
 from stcal.errors import InputError
 from stcal.reading import read_json_object
 from stcal.telemetry import parquet
+from stcal.telemetry.places import Place, Remote
 
 SCHEMA = "stcal.store"
 VERSION = 1
 MARKER = "store.json"
 
 
-def check(root: Path) -> None:
+def check(root: Place) -> None:
     """Refuse what is no store, or a newer stcal's.
 
     Raises
@@ -25,11 +26,12 @@ def check(root: Path) -> None:
         Naming the folder, or its marker when that is wrong.
     """
     if not is_there(root):
-        raise InputError(f"{root}: no stcal store here ({MARKER} is missing)")
+        missing = f"{MARKER}, or its bucket," if isinstance(root, Remote) else MARKER
+        raise InputError(f"{root}: no stcal store here ({missing} is missing)")
     _check_content(root / MARKER)
 
 
-def is_there(root: Path) -> bool:
+def is_there(root: Place) -> bool:
     """Whether a folder is marked as a store.
 
     Raises
@@ -38,6 +40,8 @@ def is_there(root: Path) -> bool:
         It cannot be told.
     """
     marker = root / MARKER
+    if isinstance(marker, Remote):
+        return marker.exists()
     try:
         marker.stat()
     except (FileNotFoundError, NotADirectoryError):
@@ -64,7 +68,7 @@ def create(root: Path) -> None:
     atomic.write_text(root / MARKER, json.dumps(document) + "\n")
 
 
-def _check_content(marker: Path) -> None:
+def _check_content(marker: Place) -> None:
     document = read_json_object(marker)
     schema, version = document.get("schema"), document.get("version")
     if schema != SCHEMA:
