@@ -308,7 +308,7 @@ def config_json(config: SensorConfig) -> str:
     return config.model_dump_json(by_alias=True, indent=1) + "\n"
 
 
-def config_from_json(text: str, path: Path) -> SensorConfig:
+def config_from_json(text: str, path: str) -> SensorConfig:
     """Read what :func:`config_json` wrote."""
     try:
         return SensorConfig.model_validate_json(text)

@@ -5,13 +5,20 @@ from __future__ import annotations
 import json
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, Literal, Protocol
 
 from stcal.errors import ConfigError, InputError
 
 # No file of stcal's comes near; a larger one would only fill the memory.
 MAXIMUM_TOML_BYTES = 4 << 20
 MAXIMUM_JSON_BYTES = 64 << 20
+
+
+class Readable(Protocol):
+    """A file that can be opened: a path, or one of an object store."""
+
+    def open(self, mode: Literal["rb"], /) -> BinaryIO:
+        """Open it for reading."""
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -30,7 +37,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: not TOML: {error}") from None
 
 
-def read_bytes(path: Path, maximum: int) -> bytes:
+def read_bytes(path: Readable, maximum: int) -> bytes:
     """Return a file's bytes; also of a pipe, which tells no size beforehand.
 
     Raises
@@ -50,7 +57,7 @@ def read_bytes(path: Path, maximum: int) -> bytes:
     return content
 
 
-def read_json_object(path: Path) -> dict[str, Any]:
+def read_json_object(path: Readable) -> dict[str, Any]:
     """Return a JSON file's top-level object.
 
     Raises

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from stcal.cli.inputs import StoreFolder
+from stcal.cli.inputs import StorePlace
 from stcal.cli.output import emit, progress
 from stcal.errors import InputError, UsageError
 
@@ -38,7 +38,7 @@ _ALWAYS = ("rows", "frames", "new_frames", "duplicate_frames", "stars", "quarant
     "--store",
     "store_path",
     required=True,
-    type=StoreFolder(),
+    type=StorePlace(written=True),
     help="The store's folder; made where there is none.",
 )
 @click.option(

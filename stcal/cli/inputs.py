@@ -17,32 +17,35 @@ if TYPE_CHECKING:
     from stcal.execution import OrderedMap
     from stcal.frames import FrameBatch
     from stcal.matching import Matcher
-    from stcal.telemetry.store import Fragment, Store
+    from stcal.telemetry.fragments import Fragment
+    from stcal.telemetry.places import Place
+    from stcal.telemetry.store import Store
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-class StoreFolder(click.Path):
-    """The folder of a store; as a path ``s3://bucket`` would become the local ``s3:/bucket``."""
+class StorePlace(click.Path):
+    """The folder of a store, or the URL of one that is only read."""
 
-    def __init__(self) -> None:
-        """Give a :class:`pathlib.Path`."""
-        super().__init__(path_type=Path)
+    def __init__(self, written: bool = False) -> None:
+        """Refuse URLs if the store is ``written``."""
+        super().__init__()
+        self.written = written
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Refuse a URL; raises InputError."""
-        from stcal.errors import InputError
+        """Return the place; raises InputError for a URL that no store is read from."""
+        from stcal.telemetry.places import local_folder, place_of
 
-        if "://" in str(value):
-            raise InputError(
-                f"{value}: a store is a folder of a file system, not a URL; mount it or copy it"
-            )
-        return super().convert(value, param, ctx)
+        place = place_of(str(value))
+        return local_folder(place) if self.written else place
 
 
 JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON document.")
 STORE = click.option(
-    "--store", required=True, type=StoreFolder(), help="Folder of the Parquet store."
+    "--store",
+    required=True,
+    type=StorePlace(),
+    help="Folder of the Parquet store, or a URL such as s3://bucket/store.",
 )
 SENSOR = click.option("--sensor", required=True, help="The sensor's name, e.g. ST16-1.")
 OUT = click.option(
@@ -82,7 +85,7 @@ TO = click.option("--to", "stop", help="Use frames before this UTC time.")
 class Selection:
     """Which frames a command reads: one sensor's, of a time range, from a store."""
 
-    store: Path
+    store: Place
     sensor: str
     config: Path | None
     start: str | None
@@ -120,7 +123,7 @@ def store_options(function: F) -> F:
 
     @wraps(function)
     def command(
-        store: Path,
+        store: Place,
         sensor: str,
         config: Path | None,
         start: str | None,
@@ -157,7 +160,8 @@ def read_inputs(selection: Selection, mapper: OrderedMap | None = None) -> Input
     from stcal.execution import serial
     from stcal.matching import Matcher
     from stcal.pipeline.describe import span_of
-    from stcal.telemetry.store import Store, fragments_sha256
+    from stcal.telemetry.fragments import fragments_sha256
+    from stcal.telemetry.store import Store
     from stcal.version import __version__
 
     limits = parse_time(selection.start, "--from"), parse_time(selection.stop, "--to")

@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from stcal.cli.inputs import JSON, STORE
+from stcal.cli.inputs import JSON, STORE, StorePlace
 from stcal.cli.output import emit, plain
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from stcal.telemetry.places import Place
 
 SOURCE = click.option("--source", help="Of this file: its name, or the beginning of its SHA-256.")
 SENSOR = click.option("--sensor", help="Of this sensor.")
@@ -30,7 +32,7 @@ def command() -> None:
 @REASON
 @JSON
 def list_(
-    store: Path, source: str | None, sensor: str | None, reason: str | None, as_json: bool
+    store: Place, source: str | None, sensor: str | None, reason: str | None, as_json: bool
 ) -> None:
     """Count the refused telemetry rows by reason, source and sensor."""
     from stcal.telemetry.quarantine_list import Selection, listing
@@ -52,7 +54,7 @@ def list_(
 )
 @JSON
 def show(
-    store: Path,
+    store: Place,
     source: str | None,
     sensor: str | None,
     frame: str | None,
@@ -71,7 +73,9 @@ def show(
 
 
 @command.command(name="retry")
-@STORE
+@click.option(
+    "--store", required=True, type=StorePlace(written=True), help="Folder of the Parquet store."
+)
 @SOURCE
 @click.option(
     "--config",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from stcal.cli.inputs import JSON
+from stcal.cli.inputs import JSON, StorePlace
 from stcal.cli.output import emit
 from stcal.errors import InputError, UsageError
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from stcal.config import SensorConfig
+    from stcal.telemetry.places import Place
     from stcal.uplink.build import Built
     from stcal.uplink.verify import Difference
 
@@ -32,7 +33,7 @@ def command() -> None:
 @click.option("--parent", required=True, type=_FILE, help="The calibration file on board.")
 @click.option("--out", required=True, type=click.Path(path_type=Path), help="Uploads' folder.")
 @click.option("--validation", type=_FILE, help="validation.json of these two calibrations.")
-@click.option("--store", type=_FOLDER, help="Store that the calibration was fitted from.")
+@click.option("--store", type=StorePlace(), help="Store that the calibration was fitted from.")
 @click.option("--config", type=_FILE, help="Sensor configuration; the store's if not given.")
 @click.option("--target", "target_path", type=_FILE, help="How the flight software holds it.")
 @click.option("--readback", type=_FILE, help="Dump of the table on board, to compare the parent.")
@@ -44,7 +45,7 @@ def build(
     parent: Path,
     out: Path,
     validation: Path | None,
-    store: Path | None,
+    store: Place | None,
     config: Path | None,
     target_path: Path | None,
     readback: Path | None,
@@ -101,7 +102,7 @@ def _overrides(gates: tuple[str, ...], reasons: tuple[str, ...]) -> dict[str, st
 
 
 def _on_disk(
-    store: Path | None, config: Path | None, calibration: Path
+    store: Place | None, config: Path | None, calibration: Path
 ) -> tuple[SensorConfig | None, dict[str, str] | None]:
     """Return the sensor's configuration, and the hashes of what the fit read, as it is on disk."""
     from stcal.cli.inputs import Selection, read_inputs

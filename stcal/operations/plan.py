@@ -6,7 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, Field, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from stcal.config import STRICT, error_lines
 from stcal.errors import ConfigError
@@ -98,6 +105,13 @@ class Plan(_Section):
     ingest_options: list[Text] = []
     fit: FitChoice = FitChoice()
     sensors: Annotated[list[Sensor], Field(min_length=1)]
+
+    @field_validator("store")
+    @classmethod
+    def _a_folder(cls, store: str) -> str:
+        if "://" in store:
+            raise ValueError("a plan's store is a folder, not a URL: its files tell what to redo")
+        return store
 
     @model_validator(mode="after")
     def _each_sensor_once(self) -> Plan:

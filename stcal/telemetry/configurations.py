@@ -10,8 +10,10 @@ from urllib.parse import quote
 
 from stcal.atomic import write_bytes, write_text
 from stcal.config import SensorConfig, config_from_json, config_json
-from stcal.errors import ConfigError
+from stcal.errors import ConfigError, InputError
+from stcal.reading import MAXIMUM_JSON_BYTES, read_bytes
 from stcal.telemetry.parquet import make_folder
+from stcal.telemetry.places import Place, listed
 
 if TYPE_CHECKING:
     from stcal.telemetry.packet_layout import PacketLayout
@@ -30,7 +32,7 @@ def record(store: Path, configs: Sequence[SensorConfig]) -> None:
             write_text(path, content)
 
 
-def recorded(store: Path) -> list[SensorConfig]:
+def recorded(store: Place) -> list[SensorConfig]:
     """Return every recorded configuration, in the order of their names.
 
     Raises
@@ -38,8 +40,8 @@ def recorded(store: Path) -> list[SensorConfig]:
     ConfigError
         One is damaged.
     """
-    paths = sorted((store / FOLDER).glob("*.json"))
-    return [config_from_json(_read(path), path) for path in paths]
+    paths = listed(store / FOLDER, "*.json")
+    return [config_from_json(_read(path), str(path)) for path in paths]
 
 
 def record_layout(store: Path, layout: PacketLayout) -> None:
@@ -51,7 +53,7 @@ def record_layout(store: Path, layout: PacketLayout) -> None:
         write_bytes(path, layout.source)
 
 
-def recorded_for(store: Path, sensor_id: str) -> SensorConfig:
+def recorded_for(store: Place, sensor_id: str) -> SensorConfig:
     """Return the recorded configuration that applies to a sensor.
 
     Raises
@@ -70,10 +72,10 @@ def recorded_for(store: Path, sensor_id: str) -> SensorConfig:
     )
 
 
-def _read(path: Path) -> str:
+def _read(path: Place) -> str:
     try:
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+        return read_bytes(path, MAXIMUM_JSON_BYTES).decode("utf-8")
+    except InputError as error:
+        raise ConfigError(str(error)) from None
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: not UTF-8: {error}") from None

@@ -84,9 +84,9 @@ def ingest(
     readers = [partial(_read, path, configs, window_rows, packets, mapping) for path in files]
     summaries = []
     with store.lock():
-        configurations.record(store.root, configs)
+        configurations.record(store.folder, configs)
         if packets is not None:
-            configurations.record_layout(store.root, packets)
+            configurations.record_layout(store.folder, packets)
         with (
             Days.filling(store, _WAITING_WINDOWS * window_rows) as days,
             ahead(readers, workers) as readings,
@@ -197,7 +197,7 @@ def _finish(
     # A file that was not read to its end may have had more to refuse.
     if opened is None or not end.finished:
         return
-    quarantine.remove_other_parts(store.root, opened.source.sha256, parts)
+    quarantine.remove_other_parts(store.folder, opened.source.sha256, parts)
     summary.packets = end.packets
     empty = ("the file holds no rows",) if summary.counts.rows == 0 else ()
     summary.warnings = unique([*end.warnings, *empty])
@@ -216,7 +216,7 @@ def _refuse(
         return []
     source = opened.source
     part = quarantine.write_source_part(
-        store.root, source.name, source.sha256, number, rejected, opened.origin
+        store.folder, source.name, source.sha256, number, rejected, opened.origin
     )
     return [part]
 

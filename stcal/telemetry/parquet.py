@@ -17,13 +17,14 @@ import pyarrow.parquet as pq
 
 from stcal import atomic
 from stcal.errors import InputError
+from stcal.telemetry.places import Place
 
 # A file with more values than both is a bomb: frames take about a byte a value.
 _MANY_VALUES, _VALUES_A_BYTE = 50_000_000, 200
 
 
 @contextmanager
-def reading(path: Path, kind: str, remedy: str = "") -> Iterator[pq.ParquetFile]:
+def reading(path: Place, kind: str, remedy: str = "") -> Iterator[pq.ParquetFile]:
     """Open a Parquet file; ``kind`` and ``remedy`` are for the message when it is damaged.
 
     Raises
@@ -33,12 +34,11 @@ def reading(path: Path, kind: str, remedy: str = "") -> Iterator[pq.ParquetFile]
     """
     try:
         # Not read_table: it would invent columns from the folder names.
-        with (
-            path.open("rb") as stream,
-            pq.ParquetFile(stream, page_checksum_verification=True) as file,
-        ):
-            _check_size(file, path)
-            yield file
+        with path.open("rb") as stream:
+            size = stream.seek(0, os.SEEK_END)
+            with pq.ParquetFile(stream, page_checksum_verification=True) as file:
+                _check_size(file, path, size)
+                yield file
     except UnicodeDecodeError as error:  # a name in the file's schema
         raise InputError(f"{path}: damaged {kind}: {error}{remedy}") from None
     except (pa.ArrowException, OSError) as error:
@@ -48,14 +48,13 @@ def reading(path: Path, kind: str, remedy: str = "") -> Iterator[pq.ParquetFile]
         raise InputError(f"{path}: damaged {kind}: {error}{remedy}") from None
 
 
-def _check_size(file: pq.ParquetFile, path: Path) -> None:
+def _check_size(file: pq.ParquetFile, path: Place, size: int) -> None:
     """Refuse a file of few bytes that says it holds far more values than stcal ever packs.
 
     Run lengths and dictionaries may unfold a kilobyte to more than fits into memory.  Counted are
     rows: to ask a damaged footer for its columns' facts may end the whole process.
     """
     values = file.metadata.num_rows * file.metadata.num_columns
-    size = path.stat().st_size
     if values > _MANY_VALUES and values > _VALUES_A_BYTE * size:
         raise InputError(f"{path}: says that it holds {values} values in {size} bytes: refused")
 

@@ -21,6 +21,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from stcal.telemetry import parquet
+from stcal.telemetry.places import Place, listed
 from stcal.telemetry.quarantine_schema import Origin, origin_of, read_file, schema
 
 __all__ = ["Origin", "origin_of", "read_file", "schema"]
@@ -134,9 +135,9 @@ def write_records(
     parquet.write(path, pa.Table.from_pylist(records, schema=schema(origin)))
 
 
-def paths(store: Path) -> list[Path]:
+def paths(store: Place) -> list[Place]:
     """Return every quarantine file of a store."""
-    return sorted((store / FOLDER).rglob("*.parquet"))
+    return listed(store / FOLDER, "**/*.parquet")
 
 
 def is_of_source(table: pa.Table, source: str | None) -> bool:
@@ -202,7 +203,7 @@ def write_conflicts(path: Path, lost: Iterable[LostVersion]) -> None:
     parquet.write(path, pa.Table.from_pylist(records, schema=schema(Origin("jsonl"))))
 
 
-def read_all(store: Path) -> pa.Table:
+def read_all(store: Place) -> pa.Table:
     """Return every quarantine record of a store."""
     found = map(read_file, paths(store))
     tables = [table.replace_schema_metadata(schema().metadata) for table in found]

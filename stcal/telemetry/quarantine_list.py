@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
@@ -14,6 +13,7 @@ import pyarrow.compute as pc
 from stcal.errors import InputError
 from stcal.telemetry import quarantine
 from stcal.telemetry.decoders import AGAIN
+from stcal.telemetry.places import Place
 from stcal.telemetry.summary import by_reason
 
 _HEX_BYTES = 16
@@ -73,7 +73,7 @@ class Listing:
         }
 
 
-def listing(store: Path, selection: Selection) -> Listing:
+def listing(store: Place, selection: Selection) -> Listing:
     """Count the records selected; one file is in memory at a time."""
     found = Listing()
     for _, table in _tables(store, selection):
@@ -88,7 +88,7 @@ def listing(store: Path, selection: Selection) -> Listing:
     return found
 
 
-def shown(store: Path, selection: Selection, limit: int) -> Iterator[dict[str, Any]]:
+def shown(store: Place, selection: Selection, limit: int) -> Iterator[dict[str, Any]]:
     """Yield up to ``limit`` records selected, each with its bytes as text or in hex.
 
     ``text`` is None where the bytes are no text and their format cannot say what they are.
@@ -123,7 +123,7 @@ def hex_dump(raw: bytes, offset: int) -> Iterator[str]:
         yield f"{first + start:08x}  {part.hex(' '):<{3 * _HEX_BYTES - 1}}  {letters}"
 
 
-def _tables(store: Path, selection: Selection) -> Iterator[tuple[Path, pa.Table]]:
+def _tables(store: Place, selection: Selection) -> Iterator[tuple[Place, pa.Table]]:
     for path in quarantine.paths(store):
         table = quarantine.read_file(path)
         selected = table.filter(selection.mask(table))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
@@ -12,6 +11,7 @@ import pyarrow.compute as pc
 
 from stcal.errors import InputError
 from stcal.telemetry import parquet
+from stcal.telemetry.places import Place
 
 VERSION = 2
 _SCHEMA = "stcal.quarantine"
@@ -52,7 +52,7 @@ def schema(origin: Origin | None = None) -> pa.Schema:
     return pa.schema([pa.field(name, kind) for name, kind in fields], metadata=metadata)
 
 
-def read_file(path: Path) -> pa.Table:
+def read_file(path: Place) -> pa.Table:
     """Read one quarantine file; one of version 1 is given the columns that it lacks.
 
     Raises
@@ -68,7 +68,7 @@ def read_file(path: Path) -> pa.Table:
     return table if version == VERSION else _from_version_1(table)
 
 
-def origin_of(table: pa.Table, path: Path) -> Origin | None:
+def origin_of(table: pa.Table, path: Place) -> Origin | None:
     """Return how the records of a file were decoded; None in a file of version 1.
 
     Raises
@@ -86,7 +86,7 @@ def origin_of(table: pa.Table, path: Path) -> Origin | None:
         raise InputError(f"{path}: damaged quarantine file: its origin: {error}") from None
 
 
-def _version(found: pa.Schema, path: Path) -> int:
+def _version(found: pa.Schema, path: Place) -> int:
     metadata = found.metadata or {}
     text = metadata.get(b"version", b"").decode("ascii", "replace")
     if metadata.get(b"schema") != _SCHEMA.encode() or text not in map(str, range(1, VERSION + 1)):

@@ -91,10 +91,10 @@ def retry(
     """
     with store.lock():
         if configs is not None:
-            configurations.record(store.root, configs)
-        used = configurations.recorded(store.root)
+            configurations.record(store.folder, configs)
+        used = configurations.recorded(store.folder)
         done: dict[str, SourceRetry] = {}
-        for path in quarantine.source_parts(store.root):
+        for path in quarantine.source_parts(store.folder):
             table = quarantine.read_file(path)
             if quarantine.is_of_source(table, source):
                 _retry_part(path, table, store, used, done)

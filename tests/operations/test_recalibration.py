@@ -209,6 +209,7 @@ def test_paths_and_options_of_the_commands(tmp_path):
     [
         (PLAN, ("A-1", "A-1"), "listed more than once: A-1"),
         (PLAN, (), "sensors"),
+        (PLAN.replace('store = "', 'store = "s3://'), ("A-1",), "is a folder, not a URL"),
         (PLAN, ("../A",), "cannot be the name of a folder"),
         (PLAN.replace("stcal.recalibration/1", "other/1"), ("A-1",), "schema"),
         (PLAN + "zeal = 3\n", ("A-1",), "zeal"),

@@ -17,7 +17,8 @@ import telemetry_cases as cases
 from stcal.errors import ConfigError, InputError
 from stcal.frames import concatenate
 from stcal.telemetry.configurations import recorded_for
-from stcal.telemetry.store import Store, read_fragment
+from stcal.telemetry.fragments import read_fragment
+from stcal.telemetry.store import Store
 from stcal.telemetry.writer import write_csv
 from stcal.times import parse_utc
 
