@@ -97,11 +97,16 @@ def locked(folder: Path) -> Iterator[None]:
         except OSError:  # a network file system that cannot lock a folder
             yield
             return
-        for left in folder.glob(f"{TEMPORARY_PREFIX}*"):
-            remove(left)
+        clear(folder)
         yield
     finally:
         os.close(handle)
+
+
+def clear(folder: Path) -> None:
+    """Remove what killed writers left in a folder, which nobody else may be writing to."""
+    for left in folder.glob(f"{TEMPORARY_PREFIX}*"):
+        remove(left)
 
 
 def remove(path: Path) -> None:

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -74,6 +75,14 @@ class Pretended(Runner):
 
 def run(path, runner, mapper=serial):
     return recalibrate(load_plan(path), mapper, runner)
+
+
+def test_what_a_killed_run_was_writing_is_cleared_away(tmp_path):
+    path, left = write_plan(tmp_path), tmp_path / "out" / "A-2" / ".stcal-left"
+    left.parent.mkdir(parents=True)
+    left.write_text("half of a rec")
+    run(path, Pretended())
+    assert not left.exists()
 
 
 def test_every_sensor_goes_through_all_steps_in_order(tmp_path):
@@ -293,21 +302,55 @@ def test_the_command_builds_the_good_sensors_uploads(fleet, capsys):
     assert {p: p.stat().st_mtime_ns for p in upload.rglob("*")} == before
 
 
+def started(plan):
+    """A recalibration in a process of its own, when its first fit is running."""
+    command = [sys.executable, "-m", "stcal", "recalibrate", str(plan), "--json"]
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    deadline = time.monotonic() + 60
+    while not (plan.parent / "out" / "ingest.step.json").exists():
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    return process
+
+
+def steps_of(plan):
+    """The processes of a recalibration's steps."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        with suppress(OSError):
+            words = path.read_bytes().split(b"\0")
+            if str(plan.parent / "store").encode() in words:
+                found.append(int(path.parent.name))
+    return found
+
+
+def test_the_steps_of_a_killed_run_end_too(fleet, tmp_path):
+    """kill -9 of the run alone: its step doesn't go on writing where nobody waits for it."""
+    for path in fleet.iterdir():
+        if path.is_file():
+            shutil.copy(path, tmp_path)
+    plan = tmp_path / "plan.toml"
+    with started(plan) as process:
+        deadline = time.monotonic() + 60
+        while not steps_of(plan):
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        process.kill()
+    while steps_of(plan):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    assert not (tmp_path / "out" / "ST16-4" / "fit" / "calibration.json").exists()
+
+
 def test_an_interrupted_run_goes_on_to_the_same_end(fleet, tmp_path):
     """SIGINT while the first fit runs: exit code 130; then the rest is done."""
     for path in fleet.iterdir():
         if path.is_file():
             shutil.copy(path, tmp_path)
-    command = [sys.executable, "-m", "stcal", "recalibrate", str(tmp_path / "plan.toml"), "--json"]
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment,
-        start_new_session=True,
-    ) as process:  # fmt: skip
-        deadline = time.monotonic() + 60
-        while not (tmp_path / "out" / "ingest.step.json").exists():
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
+    with started(tmp_path / "plan.toml") as process:
         time.sleep(0.5)
         os.killpg(process.pid, signal.SIGINT)
         process.communicate(timeout=60)
