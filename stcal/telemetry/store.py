@@ -38,6 +38,7 @@ from stcal.telemetry.schema import (
     stored_from_table,
     table_from_stored,
 )
+from stcal.telemetry.undisturbed import Stamp, stamp_of, unchanged, undisturbed
 from stcal.times import format_utc, parse_utc
 
 SCHEMA = "stcal.store"
@@ -59,7 +60,7 @@ _REMEDY = "; move it away and ingest its files again"
 class Fragment:
     """A cheap handle of consecutive frames of one sensor and day; picklable.
 
-    ``first`` and ``n_frames`` count in the file, which had ``file_frames`` frames.
+    ``first`` and ``n_frames`` count in the file, which had this ``stamp``.
     """
 
     path: Path
@@ -67,7 +68,7 @@ class Fragment:
     day: str
     first: int
     n_frames: int
-    file_frames: int
+    stamp: Stamp
     span_tai_ns: tuple[int, int]
 
     def read(self) -> FrameBatch:
@@ -125,19 +126,20 @@ class Store:
         Raises
         ------
         InputError
-            Naming the store: the sensor is not in it, or has no frames in that time; or naming a
-            fragment that is damaged.
+            Naming the store: the sensor is not in it, or has no frames in that time, or another
+            process is writing to it; or naming a fragment that is damaged.
         """
         days = []
-        for path in self._days(sensor_id):
-            if _may_overlap(path, start_tai_ns, stop_tai_ns):
-                times = _times(path)
-                first, last = _within(times, start_tai_ns, stop_tai_ns)
-                if first < last:
-                    days.append((path, times, first, last))
+        with undisturbed(self.root, self.root / LOCK):
+            for path in self._days(sensor_id):
+                if _may_overlap(path, start_tai_ns, stop_tai_ns):
+                    stamp, times = stamp_of(path), _times(path)
+                    first, last = _within(times, start_tai_ns, stop_tai_ns)
+                    if first < last:
+                        days.append((path, stamp, times, first, last))
         if not days:
             raise InputError(self._nothing(sensor_id, start_tai_ns, stop_tai_ns))
-        most = maximum_frames or _share(sum(last - first for _, _, first, last in days))
+        most = maximum_frames or _share(sum(last - first for *_, first, last in days))
         return [part for day in days for part in _split(sensor_id, *day, most)]
 
     def read_frames(
@@ -300,12 +302,11 @@ def read_fragment(fragment: Fragment) -> FrameBatch:
     InputError
         Naming the file: it is damaged, or was rewritten since the handle was made.
     """
-    with _reading(fragment.path) as file:
-        if file.metadata.num_rows != fragment.file_frames:
-            raise InputError(f"{fragment.path}: the store changed while it was read; run again")
+    path = fragment.path
+    with unchanged(path, fragment.stamp), _reading(path) as file:
         groups, skipped = _row_groups(file, fragment.first, fragment.first + fragment.n_frames)
         table = file.read_row_groups(groups).slice(fragment.first - skipped, fragment.n_frames)
-    with _decoding(fragment.path):
+    with _decoding(path):
         return batch_from_table(table, fragment.sensor_id)
 
 
@@ -336,13 +337,13 @@ def _share(frames: int) -> int:
 
 
 def _split(
-    sensor_id: str, path: Path, times: Ints, first: int, last: int, most: int
+    sensor_id: str, path: Path, stamp: Stamp, times: Ints, first: int, last: int, most: int
 ) -> list[Fragment]:
     edges = np.linspace(first, last, -(-(last - first) // most) + 1).astype(int).tolist()
-    day, total = path.parent.name.removeprefix("day="), len(times)
+    day = path.parent.name.removeprefix("day=")
     return [
         Fragment(
-            path, sensor_id, day, low, high - low, total, (int(times[low]), int(times[high - 1]))
+            path, sensor_id, day, low, high - low, stamp, (int(times[low]), int(times[high - 1]))
         )
         for low, high in pairwise(edges)
     ]
@@ -401,11 +402,17 @@ def _is_there(marker: Path) -> bool:
 def _create(path: Path) -> None:
     if path.exists() and not path.is_dir():
         raise InputError(f"{path}: is not a folder")
-    if path.is_dir() and any(not child.name.startswith(".") for child in path.iterdir()):
+    marker = path / MARKER
+    filled = path.is_dir() and any(not child.name.startswith(".") for child in path.iterdir())
+    if filled and not _is_there(marker):  # another process may just have made the store
         raise InputError(f"{path}: is neither a store nor empty; name another folder")
     document: dict[str, Any] = {"schema": SCHEMA, "version": VERSION}
     parquet.make_folder(path)
-    atomic.write_text(path / MARKER, json.dumps(document) + "\n")
+    try:
+        atomic.write_text(marker, json.dumps(document) + "\n")
+    except FileNotFoundError:
+        if not _is_there(marker):  # else another one made it, and cleared away what this one wrote
+            raise
 
 
 def _check_marker(marker: Path) -> None:

@@ -293,6 +293,17 @@ def test_a_store_that_changes_under_a_reader(filled, tmp_path):
         read_fragment(fragments[0])
 
 
+def test_a_day_that_is_replaced_by_as_many_frames(filled):
+    """A better version of a frame in place of another leaves their number as it is."""
+    store, _ = filled
+    first, *others = store.fragments("ST16-1")
+    assert others
+    first.path.write_bytes(first.path.read_bytes())
+    with pytest.raises(InputError, match=f"{first.path}: the store changed while it was read"):
+        first.read()
+    assert others[0].read().n_frames == others[0].n_frames
+
+
 def test_only_one_process_writes(filled, tmp_path):
     store, _ = filled
     code = (
