@@ -1,16 +1,22 @@
-"""The sensor configurations that a store has been filled with, so that later commands find them."""
+"""The sensor configurations that a store has been filled with, so that later commands find them.
+
+Each carries the hash of its content, since a digit that a disk has changed is still JSON.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from stcal.atomic import write_bytes, write_text
+from stcal.calibration import canonical_json
 from stcal.config import SensorConfig, config_from_json, config_json
-from stcal.errors import ConfigError
+from stcal.errors import ConfigError, InputError
+from stcal.reading import document_sha256, read_json_object
 from stcal.telemetry.parquet import make_folder
 
 if TYPE_CHECKING:
@@ -24,7 +30,9 @@ def record(store: Path, configs: Sequence[SensorConfig]) -> None:
     """Keep the validated configurations; one of the same name is replaced."""
     for config in configs:
         path = store / FOLDER / f"{quote(config.name, safe=' ')}.json"
-        content = config_json(config)
+        document = json.loads(config_json(config))
+        document["sha256"] = document_sha256(document)
+        content = canonical_json(document)
         if not (path.exists() and _read(path) == content):
             make_folder(path.parent)
             write_text(path, content)
@@ -39,7 +47,7 @@ def recorded(store: Path) -> list[SensorConfig]:
         One is damaged.
     """
     paths = sorted((store / FOLDER).glob("*.json"))
-    return [config_from_json(_read(path), path) for path in paths]
+    return [_recorded(path) for path in paths]
 
 
 def record_layout(store: Path, layout: PacketLayout) -> None:
@@ -68,6 +76,20 @@ def recorded_for(store: Path, sensor_id: str) -> SensorConfig:
         + (f" ({', '.join(c.name for c in found)})" if found else "")
         + "; name one with --config"
     )
+
+
+def _recorded(path: Path) -> SensorConfig:
+    try:
+        document = read_json_object(path)
+    except InputError as error:
+        raise ConfigError(str(error)) from None
+    said = document.pop("sha256", None)  # stores of older versions have none
+    if said is not None and said != document_sha256(document):
+        raise ConfigError(
+            f"{path}: damaged: its content does not agree with its sha256; ingest with this "
+            "configuration again, or name one with --config"
+        )
+    return config_from_json(json.dumps(document), path)
 
 
 def _read(path: Path) -> str:

@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import pickle
+import re
 import subprocess
 import sys
 
@@ -258,7 +259,7 @@ def test_a_folder_in_place_of_the_lock(filled, tmp_path):
 def test_damaged_configurations_are_named(filled, tmp_path):
     store, _ = filled
     (path,) = (store.root / "configs").glob("*.json")
-    for content, said in ((b"\xff", "not UTF-8"), (b"[" * 100_000, "")):
+    for content, said in ((b"\xff", "not JSON"), (b"[" * 100_000, "not JSON")):
         path.write_bytes(content)
         with pytest.raises(ConfigError, match=rf"{path.name}.*{said}"):
             recorded_for(store.root, "ST16-1")
@@ -270,6 +271,41 @@ def test_damaged_configurations_are_named(filled, tmp_path):
     ):
         with pytest.raises(ConfigError, match=rf"{path.name}: cannot be read: Is a directory"):
             action()
+
+
+def test_a_changed_digit_of_a_configuration_is_seen(filled, tmp_path):
+    """It would be another sensor's noise or tolerance, and as good a number."""
+    store, _ = filled
+    (path,) = (store.root / "configs").glob("*.json")
+    whole = path.read_text()
+    for place in [match.start() for match in re.finditer(r"\d", whole)][::7]:
+        other = "1" if whole[place] != "1" else "2"
+        path.write_text(whole[:place] + other + whole[place + 1 :])
+        with pytest.raises(ConfigError, match=re.escape(str(path))):
+            recorded_for(store.root, "ST16-1")
+    cases.run(tmp_path, tmp_path / "a.csv")
+    assert path.read_text() == whole
+    document = json.loads(whole)
+    del document["sha256"]  # as older versions wrote it
+    path.write_text(json.dumps(document))
+    assert recorded_for(store.root, "ST16-1") == cases.config()
+
+
+def test_every_byte_of_the_marker_is_checked(filled):
+    """It has no hash: whatever is changed is refused, or is white space."""
+    store, _ = filled
+    marker = store.root / "store.json"
+    whole = marker.read_bytes()
+    blank = {match.start() for match in re.finditer(rb"\s", whole)}
+    for place in range(len(whole)):
+        for byte in {whole[place] ^ (1 << bit) for bit in range(8)} | set(b' \t0159-e."}'):
+            changed = whole[:place] + bytes([byte]) + whole[place + 1 :]
+            marker.write_bytes(changed)
+            if place in blank and byte in b" \t\r\n":
+                Store.open(store.root)
+                continue
+            with pytest.raises(InputError, match=re.escape(str(marker))):
+                Store.open(store.root)
 
 
 def test_damaged_fragments_are_named(filled, tmp_path):
