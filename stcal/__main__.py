@@ -1,8 +1,6 @@
 """``python -m stcal``."""
 
-import sys
-
-from stcal.cli import main
+from stcal.cli import run
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run()

@@ -22,8 +22,15 @@ def write_with(path: Path, writer: Callable[[BinaryIO], None]) -> None:
     OSError
         Naming ``path``, whatever it was that failed: a full disk's own error names nothing.
     """
-    try:
+    with named(path):
         _write_with(path, writer)
+
+
+@contextmanager
+def named(path: Path) -> Iterator[None]:
+    """Let an error of the operating system name ``path``: a full disk's own names nothing."""
+    try:
+        yield
     except OSError as error:
         if error.errno is None:
             raise
@@ -97,11 +104,16 @@ def locked(folder: Path) -> Iterator[None]:
         except OSError:  # a network file system that cannot lock a folder
             yield
             return
-        for left in folder.glob(f"{TEMPORARY_PREFIX}*"):
-            remove(left)
+        clear(folder)
         yield
     finally:
         os.close(handle)
+
+
+def clear(folder: Path) -> None:
+    """Remove what killed writers left in a folder, which nobody else may be writing to."""
+    for left in folder.glob(f"{TEMPORARY_PREFIX}*"):
+        remove(left)
 
 
 def remove(path: Path) -> None:
@@ -118,11 +130,12 @@ def _write_all(stream: BinaryIO, content: bytes) -> None:
 
 def _sync_directory(folder: Path) -> None:
     """Make the rename itself durable."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+    with named(folder):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 def _umask() -> int:

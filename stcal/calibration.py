@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from stcal.atomic import write_text
 from stcal.cameras import CAMERAS, Camera
 from stcal.errors import InputError
-from stcal.reading import read_json_object
+from stcal.reading import document_sha256, read_json_object
 
 SCHEMA = "stcal.calibration/1"
 Floats = NDArray[np.float64]
@@ -86,15 +86,8 @@ def file_text(calibration: Calibration) -> str:
     """
     document = calibration.to_json()
     if calibration.covariance is not None:
-        document["sha256"] = _content_sha256(document)
+        document["sha256"] = document_sha256(document)
     return canonical_json(document)
-
-
-def _content_sha256(document: dict[str, Any]) -> str:
-    """Return the hash of everything but the hash, however the file is laid out."""
-    content = {key: value for key, value in document.items() if key != "sha256"}
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def canonical_json(document: dict[str, Any]) -> str:
@@ -120,7 +113,7 @@ def load(path: Path) -> Calibration:
     """
     document = read_json_object(path)
     problems: list[str] = []
-    if "sha256" in document and document["sha256"] != _content_sha256(document):
+    if "sha256" in document and document["sha256"] != document_sha256(document):
         raise InputError(
             f"{path}: damaged: its content does not agree with its sha256; if it was changed on "
             "purpose, remove that line"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import re
 import tomllib
 from pathlib import Path
 from typing import Any, BinaryIO, Literal, Protocol
@@ -10,8 +12,11 @@ from typing import Any, BinaryIO, Literal, Protocol
 from stcal.errors import ConfigError, InputError
 
 # No file of stcal's comes near; a larger one would only fill the memory.
-MAXIMUM_TOML_BYTES = 4 << 20
+MAXIMUM_TOML_BYTES = 1 << 20
 MAXIMUM_JSON_BYTES = 64 << 20
+# tomllib's time grows with the square of a dotted key's parts: 50 000 of them take a minute.
+_MOST_KEY_PARTS = 32
+_BETWEEN_KEYS, _KEY_DOT = re.compile(r"[=,{}\[\]]"), re.compile(r"(?<!\.)\.(?!\.)")
 
 
 class Readable(Protocol):
@@ -30,11 +35,35 @@ def read_toml(path: Path) -> dict[str, Any]:
         Naming the file: unreadable or not TOML.
     """
     try:
-        return tomllib.loads(read_bytes(path, MAXIMUM_TOML_BYTES).decode("utf-8"))
+        content = read_bytes(path, MAXIMUM_TOML_BYTES)
     except InputError as error:
         raise ConfigError(str(error)) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError, ValueError) as error:
-        raise ConfigError(f"{path}: not TOML: {error}") from None
+    return parse_toml(content, str(path))
+
+
+def parse_toml(content: bytes, where: str) -> dict[str, Any]:
+    """Return the content of a TOML file's bytes; ``where`` names them in errors.
+
+    Raises
+    ------
+    ConfigError
+        They are not TOML, or hold a key of more parts than any key of stcal's.
+    """
+    try:
+        text = content.decode("utf-8")
+        _check_keys(text)
+        return tomllib.loads(text)
+    except (RecursionError, ValueError) as error:  # a ValueError: a number of thousands of digits
+        raise ConfigError(f"{where}: not TOML: {error}") from None
+
+
+def _check_keys(text: str) -> None:
+    for number, line in enumerate(text.split("\n"), 1):
+        # Most lines have few dots; in the others, those of one key count.
+        if line.count(".") >= _MOST_KEY_PARTS and any(
+            len(_KEY_DOT.findall(piece)) >= _MOST_KEY_PARTS for piece in _BETWEEN_KEYS.split(line)
+        ):
+            raise ValueError(f"line {number}: a key of more than {_MOST_KEY_PARTS} parts")
 
 
 def read_bytes(path: Readable, maximum: int) -> bytes:
@@ -73,3 +102,10 @@ def read_json_object(path: Readable) -> dict[str, Any]:
     if not isinstance(document, dict):
         raise InputError(f"{path}: the top level is not an object")
     return document
+
+
+def document_sha256(document: dict[str, Any]) -> str:
+    """Return the hash of everything in a document but its ``sha256``, however it is laid out."""
+    content = {key: value for key, value in document.items() if key != "sha256"}
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -9,8 +9,9 @@ import json
 import os
 import signal
 import sys
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import click
 
@@ -73,9 +74,9 @@ def main(arguments: list[str] | None = None) -> int:
     # as often as by default costs a twentieth of its time.
     gc.set_threshold(200_000, 50, 50)
     as_json = "--json" in arguments
-    if own_process:
-        _prepare_process()
     try:
+        if own_process:
+            _prepare_process()
         code = cli.main(args=arguments, prog_name="stcal", standalone_mode=False)
         return code if isinstance(code, int) else 0
     except click.exceptions.Abort:
@@ -100,25 +101,42 @@ def main(arguments: list[str] | None = None) -> int:
         return _internal(error, as_json)
 
 
+def run() -> NoReturn:
+    """Be the process of a command, and end with its exit code.
+
+    The interpreter is not taken apart: a thread of Arrow's that then still lets go of what it read
+    would abort the process ("terminate called without an active exception").
+    """
+    code = main()
+    for stream in filter(None, (sys.stdout, sys.stderr)):
+        with suppress(OSError, ValueError):  # nobody reads it any more
+            stream.flush()
+    os._exit(code)
+
+
 def _prepare_process() -> None:
     """Let SIGTERM end a command as SIGINT does, and no terminal's encoding make it fail."""
+    from stcal.operations.lifeline import follow
+
     if signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:
         # What is half-written goes, and the exit code is 130.
         signal.signal(signal.SIGTERM, signal.default_int_handler)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
+    follow()
 
 
 def _fail(message: str, code: int, as_json: bool, document: dict[str, Any] | None = None) -> int:
     from stcal.cli.output import plain
 
-    click.echo(plain(f"stcal: {message}"), err=True)
-    if as_json:
-        body = dict(document or {})
-        body.setdefault("error", message)
-        body["exit_code"] = code
-        click.echo(json.dumps(body, indent=1))
+    with suppress(OSError):  # what failed may be the very place to tell it
+        click.echo(plain(f"stcal: {message}"), err=True)
+        if as_json:
+            body = dict(document or {})
+            body.setdefault("error", message)
+            body["exit_code"] = code
+            click.echo(json.dumps(body, indent=1))
     return code
 
 

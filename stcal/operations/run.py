@@ -19,10 +19,11 @@ from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import Any
 
-from stcal.atomic import TEMPORARY_PREFIX, write_text
+from stcal.atomic import TEMPORARY_PREFIX, clear, write_text
 from stcal.errors import InputError
 from stcal.execution import OrderedMap
 from stcal.operations import record
+from stcal.operations.lifeline import lifeline
 from stcal.operations.plan import PlanFile, Sensor
 from stcal.operations.record import Outcome
 from stcal.operations.steps import Step, ingest_step, report_arguments, sensor_steps
@@ -126,9 +127,9 @@ class Runner:
     def command(self, arguments: Sequence[str]) -> tuple[int, str, str]:
         """Run ``stcal`` with ``--json``; return exit code, standard output and error."""
         command = [sys.executable, "-m", "stcal", *arguments, "--json"]
-        with subprocess.Popen(
+        with lifeline() as options, subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-            text=True, errors="backslashreplace",
+            text=True, errors="backslashreplace", **options,
         ) as process:  # fmt: skip
             while True:
                 try:
@@ -173,7 +174,9 @@ def recalibrate(file: PlanFile, mapper: OrderedMap, runner: Runner | None = None
 
 def _one_sensor(file: PlanFile, runner: Runner, sensor: Sensor) -> SensorRun:
     outcomes: list[Outcome] = []
+    folder = file.out / sensor.sensor_id
     try:
+        clear(folder)  # the records and the report are written by the run, which holds ``out``
         for step in sensor_steps(file, sensor):
             outcomes.append(runner.step(step))
             if not outcomes[-1].succeeded:
@@ -185,7 +188,7 @@ def _one_sensor(file: PlanFile, runner: Runner, sensor: Sensor) -> SensorRun:
         outcomes.append(
             Outcome("files", InputError.exit_code, f"{where}{error.strerror or error}", 0.0)
         )
-    _report(file.out / sensor.sensor_id, outcomes, runner)
+    _report(folder, outcomes, runner)
     return SensorRun(sensor, tuple(outcomes))
 
 

@@ -20,6 +20,8 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from stcal.atomic import named
+
 T = TypeVar("T")
 Arrays = tuple[NDArray[Any], ...]
 
@@ -79,12 +81,13 @@ class FolderScratch:
     def put(self, name: str, number: int, *arrays: NDArray[Any]) -> None:
         """Keep arrays."""
         target = self._path(name, number)
-        target.parent.mkdir(exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=target.parent)
-        with os.fdopen(handle, "wb") as stream:
-            for array in arrays:
-                np.save(stream, array, allow_pickle=False)
-        Path(temporary).replace(target)
+        with named(target):
+            target.parent.mkdir(exist_ok=True)
+            handle, temporary = tempfile.mkstemp(dir=target.parent)
+            with os.fdopen(handle, "wb") as stream:
+                for array in arrays:
+                    np.save(stream, array, allow_pickle=False)
+            Path(temporary).replace(target)
 
     def get(self, name: str, number: int) -> Arrays:
         """Return kept arrays."""

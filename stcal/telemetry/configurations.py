@@ -1,17 +1,22 @@
-"""The sensor configurations that a store has been filled with, so that later commands find them."""
+"""The sensor configurations that a store has been filled with, so that later commands find them.
+
+Each carries the hash of its content, since a digit that a disk has changed is still JSON.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from stcal.atomic import write_bytes, write_text
+from stcal.calibration import canonical_json
 from stcal.config import SensorConfig, config_from_json, config_json
 from stcal.errors import ConfigError, InputError
-from stcal.reading import MAXIMUM_JSON_BYTES, read_bytes
+from stcal.reading import document_sha256, read_json_object
 from stcal.telemetry.parquet import make_folder
 from stcal.telemetry.places import Place, listed
 
@@ -26,8 +31,10 @@ def record(store: Path, configs: Sequence[SensorConfig]) -> None:
     """Keep the validated configurations; one of the same name is replaced."""
     for config in configs:
         path = store / FOLDER / f"{quote(config.name, safe=' ')}.json"
-        content = config_json(config)
-        if not (path.exists() and _read(path) == content):
+        document = json.loads(config_json(config))
+        document["sha256"] = document_sha256(document)
+        content = canonical_json(document)
+        if not (path.exists() and path.read_bytes() == content.encode()):
             make_folder(path.parent)
             write_text(path, content)
 
@@ -40,8 +47,7 @@ def recorded(store: Place) -> list[SensorConfig]:
     ConfigError
         One is damaged.
     """
-    paths = listed(store / FOLDER, "*.json")
-    return [config_from_json(_read(path), str(path)) for path in paths]
+    return [_recorded(path) for path in listed(store / FOLDER, "*.json")]
 
 
 def record_layout(store: Path, layout: PacketLayout) -> None:
@@ -72,10 +78,15 @@ def recorded_for(store: Place, sensor_id: str) -> SensorConfig:
     )
 
 
-def _read(path: Place) -> str:
+def _recorded(path: Place) -> SensorConfig:
     try:
-        return read_bytes(path, MAXIMUM_JSON_BYTES).decode("utf-8")
+        document = read_json_object(path)
     except InputError as error:
         raise ConfigError(str(error)) from None
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: not UTF-8: {error}") from None
+    said = document.pop("sha256", None)  # stores of older versions have none
+    if said is not None and said != document_sha256(document):
+        raise ConfigError(
+            f"{path}: damaged: its content does not agree with its sha256; ingest with this "
+            "configuration again, or name one with --config"
+        )
+    return config_from_json(json.dumps(document), str(path))

@@ -55,17 +55,9 @@ def read_stored(path: Place, sensor_id: str) -> StoredFrames:
         return stored_from_table(table, sensor_id)
 
 
-def read_rows(path: Place, sensor_id: str, first: int, stop: int, file_frames: int) -> FrameBatch:
-    """Return the frames [first, stop) of a day that had ``file_frames`` when they were chosen.
-
-    Raises
-    ------
-    InputError
-        Naming the file: it is damaged, or was rewritten since.
-    """
+def read_rows(path: Place, sensor_id: str, first: int, stop: int) -> FrameBatch:
+    """Return the frames [first, stop) of a day; raises as :func:`read_times`."""
     with _reading(path) as file:
-        if file.metadata.num_rows != file_frames:
-            raise InputError(f"{path}: the store changed while it was read; run again")
         groups, skipped = _row_groups(file, first, stop)
         table = file.read_row_groups(groups).slice(first - skipped, stop - first)
     with _decoding(path):

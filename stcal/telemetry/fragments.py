@@ -13,6 +13,7 @@ from stcal.frames import FrameBatch, Ints
 from stcal.telemetry.content import combined_sha256, day_digests
 from stcal.telemetry.day_file import day_of, read_rows
 from stcal.telemetry.places import Place
+from stcal.telemetry.undisturbed import Stamp, unchanged
 
 # A fragment's frames: enough that a pass over it costs more than its start, few enough that some
 # fit in memory together.
@@ -24,7 +25,7 @@ _FRAGMENTS = 128
 class Fragment:
     """A cheap handle of consecutive frames of one sensor and day; picklable.
 
-    ``first`` and ``n_frames`` count in the file, which had ``file_frames`` frames.
+    ``first`` and ``n_frames`` count in the file, which had this ``stamp``.
     """
 
     path: Place
@@ -32,7 +33,7 @@ class Fragment:
     day: str
     first: int
     n_frames: int
-    file_frames: int
+    stamp: Stamp
     span_tai_ns: tuple[int, int]
 
     def read(self) -> FrameBatch:
@@ -46,11 +47,13 @@ class DayTimes:
 
     Attributes
     ----------
+    stamp : the file's
     times : (F,) of all frames of the file, TAI ns, ascending
     first, stop : the selected ones
     """
 
     path: Place
+    stamp: Stamp
     times: Ints
     first: int
     stop: int
@@ -65,7 +68,8 @@ def read_fragment(fragment: Fragment) -> FrameBatch:
         Naming the file: it is damaged, or was rewritten since the handle was made.
     """
     stop = fragment.first + fragment.n_frames
-    return read_rows(fragment.path, fragment.sensor_id, fragment.first, stop, fragment.file_frames)
+    with unchanged(fragment.path, fragment.stamp):
+        return read_rows(fragment.path, fragment.sensor_id, fragment.first, stop)
 
 
 def cut(sensor_id: str, days: Sequence[DayTimes], maximum_frames: int | None) -> list[Fragment]:
@@ -87,7 +91,7 @@ def _split(sensor_id: str, day: DayTimes, most: int) -> list[Fragment]:
     times, name = day.times, day_of(day.path)
     return [
         Fragment(
-            day.path, sensor_id, name, low, high - low, len(times),
+            day.path, sensor_id, name, low, high - low, day.stamp,
             (int(times[low]), int(times[high - 1])),
         )
         for low, high in pairwise(edges)

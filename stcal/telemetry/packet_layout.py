@@ -7,7 +7,6 @@ column becomes that column; any other (a count, a flag, a spare) only takes its 
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
@@ -16,7 +15,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Discriminator, Field, PrivateAttr, Tag, ValidationError, model_validator
 
 from stcal.errors import ConfigError, InputError
-from stcal.reading import MAXIMUM_TOML_BYTES, read_bytes
+from stcal.reading import MAXIMUM_TOML_BYTES, parse_toml, read_bytes
 from stcal.telemetry.packet_checks import column_problems, list_problems, name_problems
 from stcal.telemetry.packet_fields import Order, PacketField, PacketList, Section
 from stcal.telemetry.packet_time import TimeCode
@@ -150,10 +149,7 @@ def parse_layout(content: bytes, where: str) -> PacketLayout:
     ConfigError
         With every error in it.
     """
-    try:
-        document = tomllib.loads(content.decode("utf-8"))
-    except (ValueError, RecursionError) as error:  # a ValueError: a number of thousands of digits
-        raise ConfigError(f"{where}: not TOML: {error}") from None
+    document = parse_toml(content, where)
     try:
         layout = PacketLayout.model_validate(document)
     except ValidationError as error:

@@ -24,6 +24,8 @@ from stcal.errors import InputError, StcalError
 SCHEMES = ("s3", "s3a", "gs", "gcs", "az", "abfs", "file", "memory")
 # Theirs is container@account.
 _WITH_ACCOUNT = ("az", "abfs")
+# What back ends tell of a file that is replaced: its hash, or when it was written.
+_VERSIONS = ("ETag", "etag", "mtime", "LastModified", "updated", "created")
 # Read ahead, since a fragment's columns lie together: a longer one costs a request's time itself.
 _BLOCK_BYTES = 1 << 20
 
@@ -70,6 +72,21 @@ class Remote:
             except (FileNotFoundError, NotADirectoryError):
                 return False
         return True
+
+    def version(self) -> tuple[int, str]:
+        """Return the file's size, and what else tells it from one that replaced it.
+
+        Raises
+        ------
+        InputError
+            Naming the URL and the reason.
+        """
+        with self._naming():
+            system, path = self._opened()
+            system.invalidate_cache()
+            found = system.info(path)
+            told = (found[key] for key in _VERSIONS if found.get(key) is not None)
+            return int(found["size"]), str(next(told, ""))
 
     def open(self, mode: Literal["rb"]) -> BinaryIO:
         """Open the file for reading.

@@ -16,6 +16,8 @@ from stcal.telemetry.names import printable
 EXTENSIONS = (".csv", ".csv.gz", ".jsonl", ".jsonl.gz")
 HEAD_BYTES = 1 << 16
 BLOCK_BYTES = 8 << 20
+# Fewer of telemetry's lines fill a block; each takes some hundred bytes while it is looked at.
+BLOCK_LINES = 1 << 17
 _CHUNK = 1 << 20
 _KEPT_BYTES = 64 << 20
 _MAXIMUM_LINE = 16 << 20
@@ -294,13 +296,24 @@ class LineReader:
                 if end <= self._pushed:  # what was pushed back has to come with more behind it
                     wanted += self._block_bytes
                     continue
+            end = self._few_lines(end)
+            fresh = end - self._pushed
             data, self._kept = self._kept[:end], self._kept[end:]
             row, self._row = self._row, self._row + data.count(b"\n")
             offset, self._offset = self._offset, self._offset + len(data)
             self._pushed = 0
             if data:
                 yield LineBlock(data, row, self._done and not self._kept, offset)
-            wanted = self._block_bytes + self._pushed
+            # Where lines were too short for a whole block, those behind them often are too.
+            wanted = min(self._block_bytes, 2 * fresh) + self._pushed
+
+    def _few_lines(self, end: int) -> int:
+        """Return the end of a block up to ``end``, or of an earlier line when it holds too many."""
+        while self._kept.count(b"\n", self._pushed, end) > BLOCK_LINES:
+            middle = (self._pushed + end) // 2
+            before = self._kept.rfind(b"\n", self._pushed, middle)
+            end = 1 + (before if before >= 0 else self._kept.find(b"\n", middle, end))
+        return end
 
     def push_back(self, data: bytes) -> None:
         """Put the last lines of the block just yielded in front of the next one."""

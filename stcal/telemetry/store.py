@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 
 from stcal.errors import InputError
-from stcal.frames import FrameBatch, Ints, concatenate
+from stcal.frames import FrameBatch, concatenate
 from stcal.telemetry import day_file, parquet, quarantine, store_lock, store_marker
 from stcal.telemetry.fragments import DayTimes, Fragment, cut, fragments_sha256, read_fragment
 from stcal.telemetry.merge import Merge, merge
@@ -23,6 +23,7 @@ from stcal.telemetry.names import sensor_folder
 from stcal.telemetry.places import Place, listed, local_folder
 from stcal.telemetry.quarantine import LostVersion
 from stcal.telemetry.schema import StoredFrames, table_from_stored
+from stcal.telemetry.undisturbed import stamp_of, undisturbed
 from stcal.times import format_utc, parse_utc
 
 FRAMES = "frames"
@@ -84,14 +85,15 @@ class Store:
         Raises
         ------
         InputError
-            Naming the store: the sensor is not in it, or has no frames in that time; or naming a
-            fragment that is damaged.
+            Naming the store: the sensor is not in it, or has no frames in that time, or another
+            process is writing to it; or naming a fragment that is damaged.
         """
-        found = [
-            _within(path, day_file.read_times(path), start_tai_ns, stop_tai_ns)
-            for path in self._days(sensor_id)
-            if _may_overlap(path, start_tai_ns, stop_tai_ns)
-        ]
+        with undisturbed(self.root, store_lock.LOCK):
+            found = [
+                _within(path, start_tai_ns, stop_tai_ns)
+                for path in self._days(sensor_id)
+                if _may_overlap(path, start_tai_ns, stop_tai_ns)
+            ]
         days = [day for day in found if day.first < day.stop]
         if not days:
             raise InputError(self._nothing(sensor_id, start_tai_ns, stop_tai_ns))
@@ -177,11 +179,12 @@ class Store:
         )
 
 
-def _within(path: Place, times: Ints, start: int | None, stop: int | None) -> DayTimes:
-    """Select the frames with start <= t < stop."""
+def _within(path: Place, start: int | None, stop: int | None) -> DayTimes:
+    """Select a day's frames with start <= t < stop."""
+    stamp, times = stamp_of(path), day_file.read_times(path)
     first = 0 if start is None else int(np.searchsorted(times, start))
     end = len(times) if stop is None else int(np.searchsorted(times, stop))
-    return DayTimes(path, times, first, end)
+    return DayTimes(path, stamp, times, first, end)
 
 
 def _may_overlap(path: Place, start: int | None, stop: int | None) -> bool:

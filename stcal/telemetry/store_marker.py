@@ -61,11 +61,16 @@ def create(root: Path) -> None:
     """
     if root.exists() and not root.is_dir():
         raise InputError(f"{root}: is not a folder")
-    if root.is_dir() and any(not child.name.startswith(".") for child in root.iterdir()):
+    filled = root.is_dir() and any(not child.name.startswith(".") for child in root.iterdir())
+    if filled and not is_there(root):  # another process may just have made the store
         raise InputError(f"{root}: is neither a store nor empty; name another folder")
     document: dict[str, Any] = {"schema": SCHEMA, "version": VERSION}
     parquet.make_folder(root)
-    atomic.write_text(root / MARKER, json.dumps(document) + "\n")
+    try:
+        atomic.write_text(root / MARKER, json.dumps(document) + "\n")
+    except FileNotFoundError:
+        if not is_there(root):  # else another one made it, and cleared away what this one wrote
+            raise
 
 
 def _check_content(marker: Place) -> None:

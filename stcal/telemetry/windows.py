@@ -21,7 +21,8 @@ from stcal.times import utc_day
 # Frames of a window's last rows wait for the next one: rows of a frame are joined when they lie
 # within this distance, or in one window.
 HELD_ROWS = 20_000
-_RAW_BYTES_A_ROW = 256
+# What a refused row takes until it is written, in rows that are kept; its line adds to that.
+_REFUSED_ROWS, _RAW_BYTES_A_ROW = 4, 256
 
 
 @dataclass
@@ -36,7 +37,9 @@ class Window:
     def size(self) -> int:
         """About how many rows take as much memory."""
         # A record holds its line, which may be a whole frame.
-        refused = sum(1 + len(record.raw) // _RAW_BYTES_A_ROW for record in self.rejected)
+        refused = sum(
+            _REFUSED_ROWS + len(record.raw) // _RAW_BYTES_A_ROW for record in self.rejected
+        )
         return len(self.stars) + len(self.runs) + refused
 
 

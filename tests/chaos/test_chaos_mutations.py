@@ -153,7 +153,7 @@ def accounted(path: Path, window_rows: int, twice: bool) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_mutated_downlinks(downlinks, tmp_path, name):
     """The names of a file's failures are its seeds; what is kept of it fits its rows."""
-    for seed in range(CASES // len(NAMES)):
+    for seed in range(-(-CASES // len(NAMES))):
         content = mutate(downlinks[name], np.random.default_rng([seed, NAMES.index(name)]))
         folder = tmp_path / str(seed)
         folder.mkdir()

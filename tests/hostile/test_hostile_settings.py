@@ -114,12 +114,15 @@ def test_a_hostile_value_at_any_place(tmp_path, name):
         b"a = " + b"[" * 100_000,
         b"a = " + b"{b=" * 50_000,
         b"a" + b".a" * 500 + b" = 1",
+        b"x = 1\na" + b' . "a"' * 50_000 + b" = 1",
+        b"a = {b = 1, a" + b".a" * 50_000 + b" = 1}",
+        b"[a" + b".a" * 50_000 + b"]",
         b"a = " + b"1" * 5000,
         b"\xff\xfe",
         b"a = \0",
         b"schema = 1979-05-27T07:32:00Z",
     ],
-    ids=range(7),
+    ids=range(10),
 )
 def test_what_is_no_document(tmp_path, name, content):
     path = tmp_path / "it.toml"

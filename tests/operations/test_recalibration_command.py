@@ -8,6 +8,8 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -93,8 +95,18 @@ def test_interrupted_under_any_scheduler_it_goes_on_to_the_same_end(fleet, downl
     assert not list((tmp_path / "out").glob(".*"))
 
 
-def interrupted(folder: Path, step: str, number: signal.Signals, *options: str) -> None:
-    """Signal the command while a step runs; it ends with code 130, and the step with it."""
+def test_the_steps_of_a_killed_run_end_too(downlink, tmp_path):
+    """kill -9 of the run alone: its step doesn't go on writing where nobody waits for it."""
+    shutil.copytree(downlink, tmp_path, dirs_exist_ok=True)
+    with started(tmp_path, "fit") as process:
+        process.kill()
+    await_(lambda: not steps(tmp_path, "fit"))
+    assert not (tmp_path / "out" / SENSOR / "fit" / "calibration.json").exists()
+
+
+@contextmanager
+def started(folder: Path, step: str, *options: str) -> Iterator[subprocess.Popen]:
+    """A recalibration in a process of its own, when a step is running."""
     command = [sys.executable, "-m", "stcal", "recalibrate", "plan.toml", "--json", *options]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=folder,
@@ -102,6 +114,12 @@ def interrupted(folder: Path, step: str, number: signal.Signals, *options: str) 
     ) as process:  # fmt: skip
         await_(lambda: steps(folder, step) or process.poll() is not None)
         assert process.poll() is None, process.communicate()
+        yield process
+
+
+def interrupted(folder: Path, step: str, number: signal.Signals, *options: str) -> None:
+    """Signal the command while a step runs; it ends with code 130, and the step with it."""
+    with started(folder, step, *options) as process:
         # A terminal signals the workers too, a service manager perhaps only the command.
         send = os.killpg if number == signal.SIGINT else os.kill
         send(process.pid, number)

@@ -81,6 +81,30 @@ def test_line_reader_counts_lines():
         row += data.count(b"\n")
 
 
+def test_a_block_holds_few_lines(monkeypatch):
+    """Short lines are cut into more blocks, long ones among them stay whole."""
+    monkeypatch.setattr("stcal.telemetry.sources.BLOCK_LINES", 10)
+    content = b"x" * 300 + b"\n" * 100 + b"".join(b"%d\n" % n for n in range(60)) + b"y" * 90
+    blocks = list(LineReader(iter([content]), 10_000).blocks())
+    assert b"".join(block.data for block in blocks) == content
+    assert [b.first_row for b in blocks] == np.cumsum(
+        [1, *(b.data.count(b"\n") for b in blocks[:-1])]
+    ).tolist()
+    assert all(block.data.count(b"\n") <= 10 for block in blocks)
+    assert [block.last for block in blocks] == [False] * (len(blocks) - 1) + [True]
+
+
+def test_lines_pushed_back_come_with_more(monkeypatch):
+    monkeypatch.setattr("stcal.telemetry.sources.BLOCK_LINES", 10)
+    reader, seen = LineReader(iter([b"a\n" * 95]), 40), []
+    for block in reader.blocks():
+        seen.append(block.data.count(b"\n"))
+        if not block.last and seen[-1] < 50:
+            reader.push_back(block.data)
+    assert seen[:5] == [10, 20, 30, 40, 50]
+    assert reader._row == 96
+
+
 def test_a_large_gzip_file_is_unpacked_anew(tmp_path, monkeypatch):
     """What a small one holds is kept from the first look; a large one's is not."""
     write_csv([cases.batch(20)], tmp_path / "a.csv.gz")

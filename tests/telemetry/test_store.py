@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import pickle
+import re
 import subprocess
 import sys
 
@@ -259,7 +260,7 @@ def test_a_folder_in_place_of_the_lock(filled, tmp_path):
 def test_damaged_configurations_are_named(filled, tmp_path):
     store, _ = filled
     (path,) = (store.root / "configs").glob("*.json")
-    for content, said in ((b"\xff", "not UTF-8"), (b"[" * 100_000, "")):
+    for content, said in ((b"\xff", "not JSON"), (b"[" * 100_000, "not JSON")):
         path.write_bytes(content)
         with pytest.raises(ConfigError, match=rf"{path.name}.*{said}"):
             recorded_for(store.root, "ST16-1")
@@ -271,6 +272,41 @@ def test_damaged_configurations_are_named(filled, tmp_path):
     ):
         with pytest.raises(ConfigError, match=rf"{path.name}: cannot be read: Is a directory"):
             action()
+
+
+def test_a_changed_digit_of_a_configuration_is_seen(filled, tmp_path):
+    """It would be another sensor's noise or tolerance, and as good a number."""
+    store, _ = filled
+    (path,) = (store.root / "configs").glob("*.json")
+    whole = path.read_text()
+    for place in [match.start() for match in re.finditer(r"\d", whole)][::7]:
+        other = "1" if whole[place] != "1" else "2"
+        path.write_text(whole[:place] + other + whole[place + 1 :])
+        with pytest.raises(ConfigError, match=re.escape(str(path))):
+            recorded_for(store.root, "ST16-1")
+    cases.run(tmp_path, tmp_path / "a.csv")
+    assert path.read_text() == whole
+    document = json.loads(whole)
+    del document["sha256"]  # as older versions wrote it
+    path.write_text(json.dumps(document))
+    assert recorded_for(store.root, "ST16-1") == cases.config()
+
+
+def test_every_byte_of_the_marker_is_checked(filled):
+    """It has no hash: whatever is changed is refused, or is white space."""
+    store, _ = filled
+    marker = store.root / "store.json"
+    whole = marker.read_bytes()
+    blank = {match.start() for match in re.finditer(rb"\s", whole)}
+    for place in range(len(whole)):
+        for byte in {whole[place] ^ (1 << bit) for bit in range(8)} | set(b' \t0159-e."}'):
+            changed = whole[:place] + bytes([byte]) + whole[place + 1 :]
+            marker.write_bytes(changed)
+            if byte == whole[place] or (place in blank and byte in b" \t\r\n"):
+                Store.open(store.root)
+                continue
+            with pytest.raises(InputError, match=re.escape(str(marker))):
+                Store.open(store.root)
 
 
 def test_damaged_fragments_are_named(filled, tmp_path):
@@ -292,6 +328,17 @@ def test_a_store_that_changes_under_a_reader(filled, tmp_path):
     cases.run(tmp_path, other)
     with pytest.raises(InputError, match="changed while it was read"):
         read_fragment(fragments[0])
+
+
+def test_a_day_that_is_replaced_by_as_many_frames(filled):
+    """A better version of a frame in place of another leaves their number as it is."""
+    store, _ = filled
+    first, *others = store.fragments("ST16-1")
+    assert others
+    first.path.write_bytes(first.path.read_bytes())
+    with pytest.raises(InputError, match=f"{first.path}: the store changed while it was read"):
+        first.read()
+    assert others[0].read().n_frames == others[0].n_frames
 
 
 def test_only_one_process_writes(filled, tmp_path):
