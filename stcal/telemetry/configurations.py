@@ -34,7 +34,7 @@ def record(store: Path, configs: Sequence[SensorConfig]) -> None:
         document = json.loads(config_json(config))
         document["sha256"] = document_sha256(document)
         content = canonical_json(document)
-        if not (path.exists() and path.read_bytes() == content.encode()):
+        if not _holds(path, content.encode()):
             make_folder(path.parent)
             write_text(path, content)
 
@@ -76,6 +76,15 @@ def recorded_for(store: Place, sensor_id: str) -> SensorConfig:
         + (f" ({', '.join(c.name for c in found)})" if found else "")
         + "; name one with --config"
     )
+
+
+def _holds(path: Path, content: bytes) -> bool:
+    try:
+        return path.read_bytes() == content
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
 
 
 def _recorded(path: Place) -> SensorConfig:

@@ -276,6 +276,7 @@ def _cycle(number: int) -> dict[str, Any]:
         "frames_solved": 100 + 5 * number,
         "exposures_solved": 205 + 9 * number,
         "matched_stars": 1500 + 200 * number,
+        "stars_fitted": 700 * number,
         "matches_changed": 600 // number**3,
         "iterations": 7 - number,
         "rms_urad": 100.0 - 6.0 * number,

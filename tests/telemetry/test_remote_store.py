@@ -1,5 +1,6 @@
 """A store at a URL: it reads as the folder that it was copied from, and is as hard to fool."""
 
+import io
 import json
 import shutil
 import socket
@@ -83,7 +84,8 @@ def day(number):
 
 
 def facts(fragment):
-    return {name: value for name, value in vars(fragment).items() if name != "path"}
+    own = ("path", "stamp")
+    return {name: value for name, value in vars(fragment).items() if name not in own}
 
 
 def test_reads_as_the_folder(filled, copy):
@@ -143,8 +145,11 @@ def test_flipped_bits_and_lost_ends_are_seen(filled, copy):
 
 def test_a_store_that_changes_under_a_reader(copy):
     fragments = copy.store.fragments(SENSOR)
-    copy.write(day(5), copy.read(day(7)))
-    with pytest.raises(InputError, match=r"changed|damaged|cannot be read") as caught:
+    again = io.BytesIO()
+    # The same frames, and as good: only what the back end says of the file tells.
+    pq.write_table(pq.read_table(io.BytesIO(copy.read(day(5)))), again, compression="gzip")
+    copy.write(day(5), again.getvalue())
+    with pytest.raises(InputError, match="the store changed while it was read") as caught:
         fragments[0].read()
     assert f"{copy.url}/{day(5)}: " in str(caught.value)
 
@@ -159,7 +164,7 @@ def test_hostile_files_are_refused(copy, tmp_path):
     with pytest.raises(InputError, match=rf"{copy.url}/{day(5)}: .*60000000 values"):
         copy.store.fragments(SENSOR)
     copy.write("configs/x.json", b"\xff")
-    with pytest.raises(ConfigError, match=rf"{copy.url}/configs/x\.json: not UTF-8"):
+    with pytest.raises(ConfigError, match=rf"{copy.url}/configs/x\.json: not JSON"):
         recorded_for(copy.store.root, SENSOR)
     newer = json.dumps({"schema": "stcal.store", "version": 2}).encode()
     for content, said in ((newer, "store version 2"), (b"[" * 100_000, "not JSON")):
