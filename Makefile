@@ -34,7 +34,7 @@ check: $(VENV)/.installed
 
 # Kills, full disks and damage at every touch of the disk; `make test` has a short form of it.
 chaos: $(VENV)/.installed
-	STCAL_CHAOS=1 STCAL_KILLS=200 $(BIN)/python -m pytest tests/chaos tests/hostile \
+	STCAL_CHAOS=1 STCAL_KILLS=200 $(BIN)/python -m pytest -n auto --dist worksteal tests/chaos tests/hostile \
 	  tests/telemetry/test_ingest_kill.py
 
 bench: $(VENV)/.bench

@@ -10,12 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stcal.calibration import Calibration
-from stcal.cameras import Camera
-from stcal.estimators.batch import BatchSolution
 from stcal.execution import OrderedMap
 from stcal.matching import Matcher
-from stcal.pipeline.figures import arc_sums
-from stcal.pipeline.fitting import Fitted, Fitting, Kept, fit_camera, forget
+from stcal.pipeline.figures import ArcSums, arc_sums
+from stcal.pipeline.fitting import Fitted, Fitting, fit_camera, forget
 from stcal.pipeline.identifying import Identified, Identify, series_step
 from stcal.pipeline.pieces import Piece, thinned
 from stcal.pipeline.scratch import Scratch
@@ -42,35 +40,15 @@ class Cycle:
     rms: float
 
     @property
-    def fitting(self) -> Fitting:
-        """What has kept its stars."""
-        return self.fitted.fitting
-
-    @property
-    def kept(self) -> Kept:
-        """The stars that were fitted."""
-        return self.fitted.kept
-
-    @property
-    def solution(self) -> BatchSolution:
-        """What the batch estimator found."""
-        return self.fitted.solution
-
-    @property
-    def camera(self) -> Camera:
-        """The fitted camera."""
-        return self.fitted.camera
-
-    @property
     def name(self) -> str:
         """What its arrays are kept under."""
-        return self.fitting.cycle
+        return self.fitted.fitting.cycle
 
     @property
     def noise_scale(self) -> float:
         """Sd of the residuals over that of the noise model, NaN without redundancy."""
-        dof = self.solution.information.rows - len(self.solution.parameters)
-        return float(np.sqrt(self.solution.chi2 / dof)) if dof > 0 else float("nan")
+        dof = self.fitted.solution.information.rows - len(self.fitted.solution.parameters)
+        return float(np.sqrt(self.fitted.solution.chi2 / dof)) if dof > 0 else float("nan")
 
 
 def run_cycles(
@@ -113,7 +91,7 @@ def run_cycles(
         on_cycle(cycle)
         if settled or not cycle.fitted.usable:
             break
-        camera, before = cycle.camera, cycle.name
+        camera, before = cycle.fitted.camera, cycle.name
     return cycles, settled
 
 
@@ -127,7 +105,7 @@ def change_in_sd(cycles: Sequence[Cycle], which: int, covariance: Floats) -> flo
     if which == 0:
         return float("inf")
     before, after = (cycles[k].fitted.sampled.parameters for k in (which - 1, which))
-    free = cycles[which].fitting.free
+    free = cycles[which].fitted.fitting.free
     sd = np.sqrt(np.diag(covariance))[free]
     with np.errstate(divide="ignore", invalid="ignore"):
         return float(np.max(np.abs(after - before)[free] / sd))
@@ -153,9 +131,12 @@ def _fitted(
     config, departures = identify.matcher.config, identified.departures
     start = Fitting(identify.scratch, identify.cycle, config, residual, free)
     fitted = fit_camera(start, pieces, identify.camera, departures, mapper, roughly)
-    arcs = partial(arc_sums, fitting=fitted.fitting, cameras=(fitted.camera,))
-    rms = float(total(mapper(arcs, thinned(pieces))).rms_rad[0])
-    return Cycle(identify.method, identified, fitted, rms)
+    arcs = total(mapper(partial(_arcs, fitted=fitted), thinned(pieces)))
+    return Cycle(identify.method, identified, fitted, float(arcs.rms_rad[0]))
+
+
+def _arcs(piece: Piece, fitted: Fitted) -> ArcSums:
+    return arc_sums(fitted.fitting.kept_stars(piece), (fitted.camera,))
 
 
 def _forget(scratch: Scratch, cycle: str) -> None:

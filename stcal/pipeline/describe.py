@@ -160,7 +160,7 @@ def quality(document: dict[str, Any]) -> dict[str, Any]:
 
 def _cycle(cycles: Sequence[Cycle], k: int, solution: Solution) -> dict[str, Any]:
     cycle = cycles[k]
-    found = cycle.identified
+    found, fitted = cycle.identified, cycle.fitted
     return {
         "cycle": k + 1,
         "matching": cycle.matching,
@@ -168,14 +168,14 @@ def _cycle(cycles: Sequence[Cycle], k: int, solution: Solution) -> dict[str, Any
         "exposures_solved": found.exposures_solved,
         "matched_stars": found.matched_stars,
         "matches_changed": found.changed,
-        "iterations": cycle.solution.iterations,
-        "converged": cycle.solution.converged,
+        "iterations": fitted.solution.iterations,
+        "converged": fitted.solution.converged,
         "rms_urad": number(cycle.rms / URAD),
-        "chi2": number(cycle.solution.chi2),
-        "stars_fitted": cycle.kept.stars,
-        "dof": cycle.solution.information.rows - len(solution.free),
+        "chi2": number(fitted.solution.chi2),
+        "stars_fitted": fitted.kept.stars,
+        "dof": fitted.solution.information.rows - len(solution.free),
         "noise_scale": number(cycle.noise_scale),
-        "stars_rejected": cycle.kept.rejected,
+        "stars_rejected": fitted.kept.rejected,
         "change_sd": number(change_in_sd(cycles, k, solution.covariance)),
     }
 

@@ -40,9 +40,9 @@ class ArcSums(Sums):
             return np.asarray(np.sqrt(self.squares / self.arcs)) if self.arcs else self.squares / 0
 
 
-def arc_sums(piece: Piece, fitting: Fitting, cameras: Sequence[Camera]) -> ArcSums:
-    """Sum the arclength errors of the stars that a fit has kept."""
-    arcs = choose_arcs(fitting.kept_stars(piece))
+def arc_sums(stars: StarSelection, cameras: Sequence[Camera]) -> ArcSums:
+    """Sum the arclength errors of stars."""
+    arcs = choose_arcs(stars)
     squares = [float((arcs.departures(camera) ** 2).sum()) for camera in cameras]
     return ArcSums(np.array(squares), len(arcs))
 
@@ -98,7 +98,7 @@ class MakeFigures:
         before, after = self.initial.camera, self.camera
         seen = kept if piece.number in self.viewed else kept.none()
         return Figures(
-            arcs=arc_sums(piece, self.fitting, (before, after)),
+            arcs=arc_sums(kept, (before, after)),
             occupied=occupied_cells(kept.row_px, kept.col_px, after),
             turns=self._turns(piece),
             views=view_sums(seen, before, after),
@@ -114,9 +114,10 @@ class MakeFigures:
         new = np.full(old.shape, np.nan)
         stars = get_stars(scratch, f"{self.fitting.cycle} stars", number)
         (exposures,) = scratch.get(f"{self.fitting.cycle} exposures", number)
-        new[exposures] = attitudes(stars, self.camera)
-        c_sd, shown = self.initial.c_sd, piece.every(self.turn_step)
-        both = exposures_of(shown)
+        both = exposures_of(piece.every(self.turn_step))
+        shown = np.isin(exposures, both)
+        new[exposures[shown]] = attitudes(stars.keep(shown[stars.exposure], 1), self.camera)
+        c_sd = self.initial.c_sd
         return frame_turns(c_sd @ old[both], c_sd @ new[both])
 
 

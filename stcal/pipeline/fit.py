@@ -84,7 +84,9 @@ def fit_batch(
     )
     baseline = _baseline(pieces, initial, matcher, cycles[0], scratch, mapper)
     solution = _solution(cycles[-1])
-    estimate = estimate_of(solution, cycles[-1].fitting, pieces, initial, baseline, matcher, mapper)
+    estimate = estimate_of(
+        solution, cycles[-1].fitted.fitting, pieces, initial, baseline, matcher, mapper
+    )
     refusals = batch_refusals(estimate, cycles, settled, initial, matcher.config)
     document = describe.batch_document(
         estimate, cycles, settled, pieces, initial, matcher, refusals, provenance, matches
@@ -111,21 +113,22 @@ def fitted_calibration(
 
 def _solution(cycle: Cycle) -> Solution:
     """Return the last cycle as a solution; the noise that the residuals show scales its sd."""
-    fitting, free = cycle.fitting, cycle.fitting.free
-    scale = parameter_scale(fitting.config, cycle.camera.parameter_names)[free]
+    fitted = cycle.fitted
+    fitting, free = fitted.fitting, fitted.fitting.free
+    scale = parameter_scale(fitting.config, fitted.camera.parameter_names)[free]
     try:
-        covariance = covariance_from(cycle.solution.information)
+        covariance = covariance_from(fitted.solution.information)
     except np.linalg.LinAlgError:
         covariance = np.full((len(free), len(free)), np.nan)
     covariance = covariance * np.outer(scale, scale) * cycle.noise_scale**2
     return Solution(
         identified=cycle.identified,
-        kept=cycle.kept,
-        camera=cycle.camera,
+        kept=fitted.kept,
+        camera=fitted.camera,
         free=free,
-        information=cycle.solution.information,
+        information=fitted.solution.information,
         residual=fitting.residual,
-        covariance=embedded(covariance, free, len(cycle.camera.parameters)),
+        covariance=embedded(covariance, free, len(fitted.camera.parameters)),
         noise_scale=cycle.noise_scale,
     )
 

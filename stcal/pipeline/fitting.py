@@ -18,14 +18,14 @@ from stcal.config import SensorConfig
 from stcal.estimators.batch import BatchSolution, levenberg_marquardt
 from stcal.estimators.information import SquareRootInformation, merge
 from stcal.execution import OrderedMap
-from stcal.pipeline.identifying import get_stars, put_stars
+from stcal.pipeline.identifying import get_stars
 from stcal.pipeline.parameters import parameter_scale
 from stcal.pipeline.pieces import Piece, thinned
 from stcal.pipeline.scratch import Scratch
 from stcal.pipeline.sums import Sums, total
 from stcal.residuals import BoundResidual, Residual
 from stcal.residuals.departures import count_departures, robust_scale
-from stcal.residuals.selection import StarSelection, reject_outliers, star_departures
+from stcal.residuals.selection import StarSelection, inliers, star_departures
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -82,20 +82,20 @@ class Fitting:
         """
         everything = get_stars(self.scratch, f"{self.cycle} stars", piece.number)
         rules = self.config.fit
-        kept = reject_outliers(
+        left = inliers(
             everything, camera, rules.rejection_sigma, scale, rules.minimum_stars_per_exposure
         )
-        changed = len(kept.star)
+        changed = left
         if again:
-            before = replace(self, round_=self.round_ - 1).kept_stars(piece)
-            changed = len(np.setxor1d(before.star, kept.star, assume_unique=True))
-        put_stars(self.scratch, self.name("kept"), piece.number, kept)
+            (before,) = self.scratch.get(_name(self.cycle, self.round_ - 1, "kept"), piece.number)
+            changed = left != before
+        self.scratch.put(self.name("kept"), piece.number, left)
         bound = self._bound(piece, camera)
         counts = Kept(
-            stars=len(kept.star),
-            exposures=kept.n_exposures,
-            rejected=len(everything.star) - len(kept.star),
-            changed=changed,
+            stars=len(bound.selection.star),
+            exposures=bound.selection.n_exposures,
+            rejected=int((~left).sum()),
+            changed=int(changed.sum()),
             rows=bound.rows,
             dependent=bound.dependent,
         )
@@ -114,7 +114,9 @@ class Fitting:
 
     def kept_stars(self, piece: Piece) -> StarSelection:
         """Return the stars that the round's rejection has left."""
-        return get_stars(self.scratch, self.name("kept"), piece.number)
+        everything = get_stars(self.scratch, f"{self.cycle} stars", piece.number)
+        (left,) = self.scratch.get(self.name("kept"), piece.number)
+        return everything.keep(left, 1)
 
     def name(self, what: str) -> str:
         """Return what a round's arrays are kept under."""

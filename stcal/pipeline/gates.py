@@ -126,9 +126,9 @@ def _too_little(estimate: Estimate, gates: Fit) -> list[str]:
 def _not_converged(estimate: Estimate, cycles: Sequence[Cycle], settled: bool) -> list[str]:
     last = cycles[-1]
     reasons = []
-    if not last.solution.converged:
+    if not last.fitted.solution.converged:
         reasons.append(
-            f"the estimator did not converge in {last.solution.iterations} accepted steps"
+            f"the estimator did not converge in {last.fitted.solution.iterations} accepted steps"
         )
     moved = change_in_sd(cycles, -1, estimate.solution.covariance)
     if not settled and moved > _UNSETTLED_SD:

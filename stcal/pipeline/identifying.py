@@ -141,14 +141,17 @@ def series_step(pieces: Sequence[Piece]) -> int:
 
 
 def put_stars(scratch: Scratch, name: str, number: int, stars: StarSelection) -> None:
-    """Keep a selection of stars."""
+    """Keep a selection of stars, in few bytes: they pass through files."""
     scratch.put(
-        name, number, stars.star, stars.exposure, stars.row_px, stars.col_px, stars.s_i,
-        stars.sd_px, np.array([stars.n_exposures]),
+        name, number, stars.star.astype(np.int32), np.diff(stars.offsets).astype(np.int32),
+        stars.row_px, stars.col_px, stars.s_i, stars.sd_px,
     )  # fmt: skip
 
 
 def get_stars(scratch: Scratch, name: str, number: int) -> StarSelection:
     """Return a kept selection of stars."""
-    star, exposure, row_px, col_px, s_i, sd_px, (n_exposures,) = scratch.get(name, number)
-    return StarSelection(star, exposure, row_px, col_px, s_i, sd_px, int(n_exposures))
+    star, counts, row_px, col_px, s_i, sd_px = scratch.get(name, number)
+    exposure = np.repeat(np.arange(len(counts)), counts)
+    return StarSelection(
+        star.astype(np.int64), exposure, row_px, col_px, s_i, sd_px, n_exposures=len(counts)
+    )

@@ -14,7 +14,7 @@ from stcal.frames import Fragment, FrameBatch
 Ints = NDArray[np.int64]
 
 # Enough for figures, and to start a solution from.
-THINNED = 32
+THINNED = 16
 
 
 @dataclass(frozen=True)

@@ -56,6 +56,8 @@ class StarSelection:
     def keep(self, mask: NDArray[np.bool_], minimum: int) -> StarSelection:
         """Return the kept stars of the exposures that still have ``minimum`` of them."""
         mask, number, count = _with_enough(self.exposure, self.n_exposures, mask, minimum)
+        if mask.all():
+            return self
         return StarSelection(
             self.star[mask],
             number[self.exposure[mask]],
@@ -120,15 +122,23 @@ def star_departures(selection: StarSelection, camera: Camera) -> Floats:
     return _judged(selection, camera, np.inf, 0)[1]
 
 
+def inliers(
+    selection: StarSelection, camera: Camera, sigma: float, scale: float, minimum: int
+) -> NDArray[np.bool_]:
+    """Return which stars (K,) are left when those beyond ``sigma`` times ``scale`` go.
+
+    The worst of each exposure at a time, because a gross centroid bends the attitude that judges
+    its neighbours; exposures with fewer than ``minimum`` left go whole.
+    """
+    kept, _ = _judged(selection, camera, sigma * scale, minimum)
+    return _with_enough(selection.exposure, selection.n_exposures, kept, minimum)[0]
+
+
 def reject_outliers(
     selection: StarSelection, camera: Camera, sigma: float, scale: float, minimum: int
 ) -> StarSelection:
-    """Leave out stars beyond ``sigma`` times ``scale``, the worst of each exposure at a time.
-
-    One at a time, because a gross centroid bends the attitude that judges its neighbours.
-    """
-    kept, _ = _judged(selection, camera, sigma * scale, minimum)
-    return selection if kept.all() else selection.keep(kept, minimum)
+    """Return the selection without its outliers (:func:`inliers`)."""
+    return selection.keep(inliers(selection, camera, sigma, scale, minimum), minimum)
 
 
 def _judged(

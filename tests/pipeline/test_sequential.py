@@ -52,8 +52,8 @@ def batch_with_its_matches(number, seed):
     last = cycles[-1]
     (star,) = scratch.get(f"{last.name} matches", 0)
     given = rematch_given(frames, data.initial.camera, matcher.catalogue, star)
-    sd = np.sqrt(np.diag(covariance_from(last.solution.information))) * last.noise_scale
-    return data, last.camera, sd, given
+    sd = np.sqrt(np.diag(covariance_from(last.fitted.solution.information))) * last.noise_scale
+    return data, last.fitted.camera, sd, given
 
 
 def filtered(method, data, given):
