@@ -36,6 +36,8 @@ def batch_fit(document: dict) -> Iterator[dict]:
                 what, f"{own['best_s']:.3f} s", peer, f"{one['best_s']:.3f} s",
                 one["stcal_over_it"],
             )  # fmt: skip
+    far = document["far_start"]
+    yield entry(f"batch fit, {far['frames']} frames from far off", f"{far['best_s']:.3f} s")
 
 
 def sequential(document: dict) -> Iterator[dict]:
