@@ -129,7 +129,7 @@ def test_a_state_that_is_no_number_starts_anew_from_the_baseline():
     state, _, _ = filter_fragment(chosen, baseline.take(np.arange(60)), chosen.start)
     for broken in (
         replace(state, x=np.full(8, np.nan)),
-        replace(state, root=state.root * np.inf),
+        replace(state, root=np.full((8, 8), np.inf)),
         replace(state, root=np.zeros((8, 8))),
     ):
         after, history, _ = filter_fragment(chosen, baseline.take(np.arange(60, 61)), broken)
