@@ -15,7 +15,6 @@ from stcal.frames import exposures_of
 from stcal.metrics import occupied_cells
 from stcal.pipeline.alignment import frame_turns
 from stcal.pipeline.fitting import Fitting
-from stcal.pipeline.identifying import get_stars
 from stcal.pipeline.pieces import Piece
 from stcal.pipeline.sums import Sums
 from stcal.pipeline.views import ViewSums, view_sums
@@ -94,17 +93,18 @@ class MakeFigures:
 
     def __call__(self, piece: Piece) -> Figures:
         """Sum over one piece."""
-        kept = self.fitting.kept_stars(piece)
+        usable = self.fitting.usable_stars(piece)
+        kept = self.fitting.kept_stars(piece, usable)
         before, after = self.initial.camera, self.camera
         seen = kept if piece.number in self.viewed else kept.none()
         return Figures(
             arcs=arc_sums(kept, (before, after)),
             occupied=occupied_cells(kept.row_px, kept.col_px, after),
-            turns=self._turns(piece),
+            turns=self._turns(piece, usable),
             views=view_sums(seen, before, after),
         )
 
-    def _turns(self, piece: Piece) -> Floats:
+    def _turns(self, piece: Piece, stars: StarSelection) -> Floats:
         """Compare attitudes of the last matches, solved with the fitted camera, with the first's.
 
         The last matches were made with the camera before; their own attitudes were its.
@@ -112,7 +112,6 @@ class MakeFigures:
         scratch, number = self.fitting.scratch, piece.number
         (old,) = scratch.get(f"{self.baseline} attitudes", number)
         new = np.full(old.shape, np.nan)
-        stars = get_stars(scratch, f"{self.fitting.cycle} stars", number)
         (exposures,) = scratch.get(f"{self.fitting.cycle} exposures", number)
         both = exposures_of(piece.every(self.turn_step))
         shown = np.isin(exposures, both)

@@ -70,8 +70,7 @@ class Fitting:
 
     def departures(self, piece: Piece, camera: Camera) -> Ints:
         """Count the departures of all usable stars from their attitudes."""
-        stars = get_stars(self.scratch, f"{self.cycle} stars", piece.number)
-        return count_departures(star_departures(stars, camera))
+        return count_departures(star_departures(self.usable_stars(piece), camera))
 
     def reject(
         self, piece: Piece, camera: Camera, scale: float, again: bool
@@ -80,8 +79,7 @@ class Fitting:
 
         With ``again`` the rest is compared with that of the round before.
         """
-        everything = get_stars(self.scratch, f"{self.cycle} stars", piece.number)
-        rules = self.config.fit
+        everything, rules = self.usable_stars(piece), self.config.fit
         left = inliers(
             everything, camera, rules.rejection_sigma, scale, rules.minimum_stars_per_exposure
         )
@@ -90,7 +88,7 @@ class Fitting:
             (before,) = self.scratch.get(_name(self.cycle, self.round_ - 1, "kept"), piece.number)
             changed = left != before
         self.scratch.put(self.name("kept"), piece.number, left)
-        bound = self._bound(piece, camera)
+        bound = self._bound(piece, camera, everything)
         counts = Kept(
             stars=len(bound.selection.star),
             exposures=bound.selection.n_exposures,
@@ -105,18 +103,24 @@ class Fitting:
         """Return the factor of [H | r] at a camera; the noise in rad is that of ``bound_with``."""
         return reduced(self._bound(piece, bound_with), camera, self.free)
 
-    def _bound(self, piece: Piece, camera: Camera) -> BoundResidual:
+    def _bound(
+        self, piece: Piece, camera: Camera, usable: StarSelection | None = None
+    ) -> BoundResidual:
         return self.scratch.cached(
             self.name("bound"),
             piece.number,
-            lambda: self.residual.bind(self.kept_stars(piece), camera),
+            lambda: self.residual.bind(self.kept_stars(piece, usable), camera),
         )
 
-    def kept_stars(self, piece: Piece) -> StarSelection:
-        """Return the stars that the round's rejection has left."""
-        everything = get_stars(self.scratch, f"{self.cycle} stars", piece.number)
+    def usable_stars(self, piece: Piece) -> StarSelection:
+        """Return the cycle's stars, outliers and all."""
+        return get_stars(self.scratch, f"{self.cycle} stars", piece.number)
+
+    def kept_stars(self, piece: Piece, usable: StarSelection | None = None) -> StarSelection:
+        """Return the stars that the round's rejection has left, of ``usable`` if it was read."""
         (left,) = self.scratch.get(self.name("kept"), piece.number)
-        return everything.keep(left, 1)
+        stars = self.usable_stars(piece) if usable is None else usable
+        return stars.keep(left, 1)
 
     def name(self, what: str) -> str:
         """Return what a round's arrays are kept under."""
